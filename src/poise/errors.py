@@ -127,7 +127,7 @@ _MOST_COMPARED = 500
 def did_you_mean(word: str, choices: Iterable[str]) -> str:
     """Return ``" (did you mean 'x'?)"`` for the closest choice, or nothing."""
     compared = list(islice(choices, _MOST_COMPARED))
-    close = difflib.get_close_matches(word, compared, n=1)
+    close = difflib.get_close_matches(str(word), compared, n=1)
     return f" (did you mean '{close[0]}'?)" if close else ""
 
 

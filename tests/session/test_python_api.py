@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from functools import partial
 from pathlib import Path
 from typing import Any, cast
@@ -253,3 +255,58 @@ def test_only_up_starts_several_tasks() -> None:
 def test_a_file_may_be_named_by_a_string() -> None:
     with pytest.raises(poise.UsageError, match="there is no folder nowhere"):
         poise.run(greeter(), seconds=1.0, journal="nowhere/journal.jsonl")
+
+
+@pytest.mark.parametrize(
+    ("call", "says"),
+    [
+        (lambda: poise.load(cast("Any", 3)), "file=3: it must be a path"),
+        (lambda: poise.load("x", cast("Any", "a=b")), "arguments='a=b': it must be a"),
+        (lambda: poise.check(cast("Any", None)), "file=None: it must be a path"),
+        (lambda: poise.RecordedRun(cast("Any", 3)), "file=3: it must be a path"),
+        (lambda: poise.place(hello(), method=cast("Any", 3)), "method=3: it must be"),
+        (lambda: poise.place(hello(), seed=cast("Any", "x")), "seed='x': it must be a"),
+        (lambda: poise.place(hello(), budget=cast("Any", "1")), "budget='1': it must"),
+        (
+            lambda: poise.simulate(greeter(), seed=cast("Any", "x")),
+            "seed='x': it must be a whole number",
+        ),
+        (
+            lambda: poise.simulate(greeter(), faults=cast("Any", ["cut"])),
+            r"faults\[0\]='cut': it must be a `SimulatedFault`",
+        ),
+        (
+            lambda: poise.compare_simulations(greeter(), methods="auto"),
+            "methods='auto': it must be a list of names",
+        ),
+        (
+            lambda: poise.draw(hello(), placements=cast("Any", {"now": 3})),
+            r"placements\['now'\]=3: it must be component -> computer",
+        ),
+        (lambda: poise.draw(hello()).save(cast("Any", 3)), "path=3: it must be a path"),
+        (lambda: poise.record("x", "a.b"), "connectors='a.b': it must be a list"),
+        (lambda: poise.play("x", only="a.b"), "only='a.b': it must be a list of names"),
+        (lambda: poise.play("x", rate=cast("Any", "2")), "rate='2': it must be a num"),
+        (lambda: entered(poise.emulated(cast("Any", "x"))), "'x' is not a robot"),
+        (lambda: entered(poise.up(greeter(), cast("Any", 3))), "task=3: it must be"),
+        (
+            lambda: entered(poise.up(greeter(), metrics=cast("Any", "80"))),
+            "metrics='80': it must be a port",
+        ),
+        (
+            lambda: entered(poise.up(greeter(), record=cast("Any", 3))),
+            "record=3: it must be a path",
+        ),
+        (lambda: poise.stop_without_manager(cast("Any", "x")), "'x' is not a robot"),
+    ],
+)
+def test_an_argument_of_another_type_is_named(
+    call: Callable[[], object], says: str
+) -> None:
+    with pytest.raises(poise.UsageError, match=says):
+        call()
+
+
+def entered(manager: AbstractContextManager[object]) -> None:
+    with manager:
+        pytest.fail("it should have been refused")

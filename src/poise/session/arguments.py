@@ -2,11 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from math import inf
 from numbers import Real
+from os import PathLike
+from reprlib import repr as short
+from types import UnionType
 
 from poise.errors import UsageError
 from poise.model.robot import Robot
+
+
+def check_type(name: str, value: object, kind: type | UnionType, is_what: str) -> None:
+    """Raise UsageError for an argument of another type than it is declared with."""
+    if not isinstance(value, kind):
+        raise UsageError(f"{name}={short(value)}: it must be {is_what}")
+
+
+def check_path(name: str, value: object) -> None:
+    """Raise UsageError for what is no path, such as an open file."""
+    check_type(name, value, str | PathLike, "a path: a text or a `pathlib.Path`")
+
+
+def check_names(name: str, value: object) -> None:
+    """Raise UsageError for a text, which would be read letter by letter."""
+    if isinstance(value, str) or not isinstance(value, Iterable):
+        raise UsageError(f"{name}={short(value)}: it must be a list of names")
 
 
 def check_robot(robot: object) -> None:

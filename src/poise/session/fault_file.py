@@ -18,6 +18,7 @@ from poise.model.robot import Robot
 from poise.model.yaml_tree import Finding, Positions, read_file
 from poise.model.yaml_tree import Path as KeyPath
 from poise.model.yaml_validation import validate
+from poise.session.arguments import check_type
 from poise.simulation.choices import Choices
 from poise.simulation.faults import (
     KINDS,
@@ -118,6 +119,10 @@ def faults_of(
         return _random(robot, seconds, seed)
     if isinstance(faults, str | PathLike):
         return read_faults(Path(faults), robot, seconds)
+    is_what = f"a list of `SimulatedFault`, a file, or '{RANDOM}'"
+    check_type("faults", faults, Sequence, is_what)
+    for number, fault in enumerate(faults):
+        check_type(f"faults[{number}]", fault, SimulatedFault, "a `SimulatedFault`")
     findings = [
         f"{fault}: {message}"
         for fault in faults

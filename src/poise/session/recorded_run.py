@@ -18,6 +18,7 @@ from poise.manage.observe.estimates import DemandEstimate, Estimates
 from poise.model.policy import Do, Seen, Values, policies_of
 from poise.model.robot import Robot
 from poise.session import Say, log
+from poise.session.arguments import check_path, check_robot
 from poise.session.profiling.stored_profiles import read_profile
 from poise.wire.recording_file import SEEN, messages_of, robot_of, samples_of
 from poise.wire.records.status_records import (
@@ -150,6 +151,7 @@ class RecordedRun:
     """
 
     def __init__(self, file: str | PathLike[str]) -> None:
+        check_path("file", file)
         self.file = Path(file)
         self._robot = robot_of(self.file)
 
@@ -308,6 +310,8 @@ def test_policies(
     UsageError
         It cannot be read, another robot was recorded, or nothing that policies see.
     """
+    check_robot(robot)
+    check_path("recording", recording)
     _check_robot(robot_of(Path(recording)), robot, Path(recording))
     policies = Policies(policies_of(robot.policies), robot.folder)
     found: list[PolicyEvent] = []

@@ -19,7 +19,7 @@ from poise.plan.conflict import conflict
 from poise.plan.problem.arrays import arrays_of
 from poise.runtime.code_check import check_code_isolated
 from poise.session import Say, log, nothing
-from poise.session.arguments import check_robot, check_task
+from poise.session.arguments import check_path, check_robot, check_task, check_type
 from poise.session.profiling.stored_profiles import profiled
 from poise.units import format_seconds
 
@@ -98,6 +98,9 @@ def _checked(
     arguments: Mapping[str, object] | None,
     meanwhile: Callable[[], object] = nothing,
 ) -> Source:
+    check_path("file", file)
+    kind, is_what = Mapping | None, "a mapping of names to values"
+    check_type("arguments", arguments, kind, is_what)
     source = load_source(Path(file), arguments)
     found = check_code_isolated(source.robot, meanwhile=meanwhile)
     findings = found.findings or [*check_late_chains(source.robot)]

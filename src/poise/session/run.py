@@ -22,7 +22,7 @@ from poise.manage.manager import Manager
 from poise.manage.observe.chains import chain_reports
 from poise.model.robot import Robot
 from poise.session import Check, Say, log, nothing
-from poise.session.arguments import check_duration
+from poise.session.arguments import check_duration, check_path
 from poise.session.deploy.deploy import as_deployed
 from poise.session.last_seen import LastSeen
 from poise.session.launch.managed import journal_of, managed, planned
@@ -94,6 +94,8 @@ def run(  # noqa: PLR0913 - each is a choice of the user
     """
     chosen, decided = task_of(robot, task), list[str]()
     check_duration("a run", seconds)
+    check_path("journal", journal or "")
+    check_path("record", record or "")
     robot = as_deployed(robot)
     first = first_phase(robot, [chosen], placement, decided.append)
     placed, warnings = first.placed, Warnings(say)

@@ -17,7 +17,7 @@ from rich.console import RenderableType
 from poise.errors import RobotError, RunError, UsageError
 from poise.model.robot import Robot
 from poise.session import Check, Say, log, nothing
-from poise.session.arguments import check_duration
+from poise.session.arguments import check_duration, check_names, check_path, check_type
 from poise.session.bag_workload import bag_traffic
 from poise.session.fault_file import Faults, faults_of
 from poise.session.placing.first_phase import first_phase
@@ -162,6 +162,7 @@ def compare_simulations(  # noqa: PLR0913 - each is a choice of the user
     UsageError
         As in `simulate`, or there is no such method.
     """
+    check_names("methods", methods)
     if not methods:
         raise UsageError("name the placements to compare, such as auto and static")
     asked = _scenario(robot, task, seconds, (faults, seed), recording, adapt=adapt)
@@ -202,6 +203,8 @@ def _scenario(
     """Return what the user asks for, but for the placement, if it can be simulated."""
     _, plan = _engine()  # before anything is decided
     check_duration("a simulation", seconds)
+    check_type("seed", faults[1], int, "a whole number")
+    check_path("recording", recording or "")
     return plan(
         robot=robot,
         placement={},

@@ -29,6 +29,7 @@ from poise.manage.tasks.concurrent_tasks import Tasks
 from poise.model.robot import Robot
 from poise.runtime.container.component_import import folder_of_version
 from poise.session import Check, Say, log, nothing
+from poise.session.arguments import check_path, check_robot, check_type
 from poise.session.deploy.deploy import as_deployed
 from poise.session.folders import make_journal
 from poise.session.launch.computers import Computers
@@ -183,6 +184,11 @@ def up(  # noqa: PLR0913 - each is a choice of the user
     UsageError
         A robot of this name runs already, or an argument is wrong.
     """
+    check_path("journal", journal or "")
+    check_path("record", record or "")
+    check_type("metrics", metrics, int | None, "a port")
+    check_type("otel", otel, str | None, "a URL, as http://localhost:4318")
+    check_robot(robot)
     if take_over:
         _check_outlives(robot)
     names = _tasks_of(robot, task)
@@ -238,6 +244,7 @@ def up(  # noqa: PLR0913 - each is a choice of the user
 
 def _tasks_of(robot: Robot, task: str | Sequence[str] | None) -> Sequence[str]:
     """Return the tasks to start; UsageError when a list names none, or one twice."""
+    check_type("task", task, str | Sequence | None, "the name of a task, or several")
     if task is None or isinstance(task, str):
         return [task_of(robot, task)]
     if not task:

@@ -7,6 +7,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from math import inf
+from numbers import Real
 from pathlib import Path
 from typing import Any, get_args
 
@@ -18,6 +19,7 @@ from poise.clock import steady_wall_time, wall_time
 from poise.decoding import convert
 from poise.errors import PoiseError, RunError
 from poise.session import Check, Say, log, nothing
+from poise.session.arguments import check_names, check_path, check_type
 from poise.session.running_robots.running import (
     ChainReport,
     JournalEntry,
@@ -199,6 +201,10 @@ def record(  # noqa: PLR0913 - each is a choice of the user
     RunError
         The disk is full, or the robot has ended.
     """
+    check_path("path", path)
+    check_names("connectors", connectors)
+    for what, value in (("seconds", seconds), ("rate", rate)):
+        check_type(what, value, Real, "a number")
     name = connect(robot).status().robot
     extra("foxglove_schemas_protobuf")  # before there is a file
     recorder = Recorder(name, connectors, rate)

@@ -23,7 +23,7 @@ from poise.model.robot import (
 from poise.plan.from_robot import check_task
 from poise.runtime.component.implementation import find, search_also
 from poise.runtime.component.ports import ports_of
-from poise.session.arguments import check_robot
+from poise.session.arguments import check_path, check_robot, check_type
 from poise.session.diagrams.diagram import (
     Arrow,
     Box,
@@ -68,6 +68,7 @@ class Drawing(Struct, frozen=True):
         RunError
             It cannot be written, and is what it was.
         """
+        check_path("path", path)
         path = Path(path)
         if path.suffix not in FORMATS:
             raise UsageError(
@@ -115,6 +116,7 @@ def draw(
     """
     check_robot(robot)
     named = placements or {}
+    check_type("placements", named, Mapping, "a mapping of names to placements")
     what = what or ("deployment" if named else "components")
     if what not in get_args(What):
         raise UsageError(f"no diagram '{what}' (there are: {listed(get_args(What))})")
@@ -139,6 +141,8 @@ def draw(
 
 def _check(robot: Robot, name: str, placement: Mapping[str, str]) -> None:
     """Raise UsageError for components and computers that the robot does not have."""
+    is_what = "component -> computer, as in `Placement.where`"
+    check_type(f"placements[{name!r}]", placement, Mapping, is_what)
     components = {each.name for each in robot.components()}
     computers = {each.name for each in robot.computers}
     if strange := [

@@ -29,6 +29,7 @@ from poise.model.robot import Robot
 from poise.runtime.agent.surroundings import BROKEN
 from poise.runtime.waker import Waker, wait_readable
 from poise.session import Say, log
+from poise.session.arguments import check_robot
 from poise.session.folders import scratch_folder
 from poise.session.launch.printer import STDERR, Printer, relay
 from poise.threads import BackOff
@@ -225,6 +226,7 @@ def emulated(robot: Robot, *, say: Say = log.info) -> Iterator[EmulatedSet]:
     RobotError, RunError
         They cannot be emulated; nothing is left.
     """
+    check_robot(robot)
     real = [computer.name for computer in robot.computers if computer.address]
     if real:
         raise UsageError(

@@ -8,6 +8,7 @@ from collections.abc import Collection, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from functools import partial
 from itertools import cycle
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from poise.estimate.success_rates import learned
 from poise.model.robot import Robot
 from poise.plan.alternatives import needs
 from poise.plan.planner import SOLVERS
-from poise.session.arguments import check_robot, check_task
+from poise.session.arguments import check_robot, check_task, check_type
 from poise.session.placing.by_time import DecidedByTime, Solve, decide_by_time
 from poise.session.render.picture import planned_picture
 from poise.session.render.plan_tables import plan_parts
@@ -366,6 +367,9 @@ def place(  # noqa: PLR0913 - each is a choice of the user
     """
     check_robot(robot)
     check_task(task)
+    check_type("method", method, str, "the name of a method, such as auto")
+    check_type("seed", seed, int, "a whole number")
+    check_type("budget", budget, Real | None, "a number of seconds")
     actions = robot.actions(task)
     robot = learned(
         robot, actions, conditions=conditions, explore=explore, seed=seed

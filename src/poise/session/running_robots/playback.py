@@ -7,12 +7,14 @@ import re
 import time
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping
+from numbers import Real
 from pathlib import Path
 
 from msgspec import Struct
 
 from poise.errors import UsageError
 from poise.session import Check, Say, log, nothing
+from poise.session.arguments import check_names, check_path, check_type
 from poise.session.running_robots.running import Running, connect
 from poise.wire.recording_file import Said, said_in
 
@@ -78,6 +80,9 @@ def play(
     RunError
         A component took no message within 10 s.
     """
+    check_path("path", path)
+    check_names("only", only)
+    check_type("rate", rate, Real, "a number")
     if not rate > 0:
         raise UsageError(f"rate {rate:g}: must be above 0")
     running = connect(robot)

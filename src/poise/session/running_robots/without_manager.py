@@ -12,6 +12,7 @@ from poise.manage.control_socket.commands import RobotStatus
 from poise.manage.deploy.live_robot import STOP_LIMIT
 from poise.manage.observe.deviations import last_numbers, new_faults
 from poise.model.robot import Robot
+from poise.session.arguments import check_robot
 from poise.session.launch.computers import emulated_addresses, real_agents
 from poise.wire.control_session import endpoint_of
 from poise.wire.records.deployment_records import Deployment
@@ -95,6 +96,7 @@ def _end_all(agents: Agents, computers: set[str]) -> list[str]:
 
 def _addresses(robot: Robot) -> AgentAddresses:
     """Return where a robot's agents are, by its file or on computers kept for it."""
+    check_robot(robot)
     if any(computer.address for computer in robot.computers):
         return real_agents(robot)
     kept = set_for(robot)
