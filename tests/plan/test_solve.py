@@ -15,7 +15,7 @@ from poise.errors import UsageError
 from poise.plan import Problem
 from poise.plan._core import Core
 from poise.plan.planner import Effort, run_portfolio
-from poise.plan.result import Snapshot
+from poise.plan.result import CompiledProblem
 from tests.waiting import LONG
 
 
@@ -60,10 +60,10 @@ class Asked:
 
 
 def test_nothing_is_searched_where_a_proof_is_quick() -> None:
-    snapshot = Snapshot(random_robot(2, 20, 2))
-    core = Asked(snapshot.core)
-    snapshot.core = cast("Core", core)
-    result = run_portfolio(snapshot, "auto", Effort(60.0, None))
+    compiled = CompiledProblem(random_robot(2, 20, 2))
+    core = Asked(compiled.core)
+    compiled.core = cast("Core", core)
+    result = run_portfolio(compiled, "auto", Effort(60.0, None))
     assert result.proven
     assert core.names.count("exact") == 1
     assert "search" not in core.names

@@ -15,7 +15,7 @@ from poise.plan import Bundle, Edge, Item, Problem, _core
 from poise.plan.phase_problem import NEVER
 from poise.plan.phase_search import Unit, merged
 from poise.plan.problem.arrays import arrays_of
-from poise.plan.result import Snapshot
+from poise.plan.result import CompiledProblem
 
 HALVES = tuple(Computer(name=name, capacity={"cpu": 0.5}) for name in ("one", "two"))
 
@@ -123,13 +123,13 @@ def least(problem: plan.TaskProblem) -> float:
     """Return the least total of all placements, by trying all: F over three seconds."""
     options = []
     for phase in problem.phases:
-        snapshot = Snapshot(phase.problem)
-        arrays = snapshot.arrays
+        compiled = CompiledProblem(phase.problem)
+        arrays = compiled.arrays
         options.append(
             [
-                (snapshot.terms([*placed]).total, arrays.placement([*placed]))
+                (compiled.terms([*placed]).total, arrays.placement([*placed]))
                 for placed in product(range(arrays.m), repeat=arrays.n)
-                if snapshot.core.feasible([*placed])
+                if compiled.core.feasible([*placed])
             ]
         )
     return min(

@@ -12,7 +12,7 @@ from poise.plan.planner import evaluate, solve
 from poise.plan.problem.arrays import Placed
 from poise.plan.problem.items import Bundle
 from poise.plan.problem.problem import Problem
-from poise.plan.result import Snapshot
+from poise.plan.result import CompiledProblem
 from poise.plan.result_records import Terms
 from poise.plan.violations import obstacle
 
@@ -98,8 +98,8 @@ def explain(
             if name == bundle.name and name not in placement:
                 name = bundle.components[0]
     _, placed_part = chosen_by(problem, placement, partial=True)
-    snapshot = Snapshot(placed_part, given=placement)
-    arrays = snapshot.arrays
+    compiled = CompiledProblem(placed_part, given=placement)
+    arrays = compiled.arrays
     placed = arrays.placed(placement)
     names = [c.name for c in placed_part.components]
     if name not in names:
@@ -107,7 +107,7 @@ def explain(
         raise UsageError(f"no component is called {name!r} (there are: {choices})")
     unit = arrays.unit_of[names.index(name)]
     options = sorted(
-        (_option(snapshot, placed, unit, h) for h in range(arrays.m)),
+        (_option(compiled, placed, unit, h) for h in range(arrays.m)),
         key=lambda option: (bool(option.obstacle), option.objective.total),
     )
     together = [names[i] for i in arrays.members[unit]]
@@ -179,15 +179,17 @@ def _most(change: Terms) -> str:
     return f"{most} {terms[most]:+.4g}"
 
 
-def _option(snapshot: Snapshot, placed: Placed, unit: int, computer: int) -> Option:
+def _option(
+    compiled: CompiledProblem, placed: Placed, unit: int, computer: int
+) -> Option:
     trial, lifted = [*placed], [*placed]
     trial[unit], lifted[unit] = computer, -1
-    there = snapshot.terms(trial)
+    there = compiled.terms(trial)
     return Option(
-        computer=snapshot.arrays.computer(computer),
+        computer=compiled.arrays.computer(computer),
         objective=there,
-        change=there - snapshot.terms(placed),
-        obstacle=obstacle(snapshot.arrays, lifted, unit, computer),
+        change=there - compiled.terms(placed),
+        obstacle=obstacle(compiled.arrays, lifted, unit, computer),
     )
 
 

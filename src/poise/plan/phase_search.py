@@ -23,7 +23,7 @@ from poise.plan.planner import BUDGET, Budget, Effort, Planner
 from poise.plan.problem.arrays import Arrays, LimitArray, Placed, Times, arrays_of
 from poise.plan.problem.changed_problem import keep_components
 from poise.plan.problem.problem import Problem
-from poise.plan.result import Result, Snapshot
+from poise.plan.result import CompiledProblem, Result
 from poise.plan.result_records import Ask, Selection
 
 ALONE = 0.3
@@ -44,8 +44,8 @@ Solution = Mapping[str, Result]
 """Phase -> its placement, whose F has no moves; one that has none is not there."""
 
 
-def _of(snapshot: Snapshot, placed: Placed, choice: Selection) -> Result:
-    result = Result.of(snapshot, placed, "phases")
+def _of(compiled: CompiledProblem, placed: Placed, choice: Selection) -> Result:
+    result = Result.of(compiled, placed, "phases")
     result.choice = choice
     return result
 
@@ -141,8 +141,10 @@ class PhaseSearch:
         result = self._decide(problem, share)
         if not result.placement:
             return None
-        snapshot = Snapshot(keep_components(self._problems[name], result.placement))
-        moved = _of(snapshot, snapshot.arrays.placed(result.placement), result.choice)
+        compiled = CompiledProblem(
+            keep_components(self._problems[name], result.placement)
+        )
+        moved = _of(compiled, compiled.arrays.placed(result.placement), result.choice)
         if name not in held:
             return moved
         now = self._cost({name: held[name]}, held)
@@ -172,10 +174,10 @@ class PhaseSearch:
         others = {n: h.placement for n, h in held.items() if n not in names}
         parts = []
         for name in names:
-            snapshot = held[name].snapshot
+            compiled = held[name].compiled
             problem = with_moves(self._problem, name, others)
             part = keep_components(problem, held[name].placement)
-            arrays = replace(snapshot.arrays, cost=arrays_of(part).cost)
+            arrays = replace(compiled.arrays, cost=arrays_of(part).cost)
             parts.append(weighted(arrays, self._weights[name]))
         known = [unit for name in names for unit in held[name].placed]
         core = Core(merged(parts, self._between(names, held)))
@@ -187,9 +189,9 @@ class PhaseSearch:
         for name in names:
             count = len(held[name].placed)
             here, placed = placed[:count], placed[count:]
-            if not held[name].snapshot.core.feasible(here):
+            if not held[name].compiled.core.feasible(here):
                 return {}
-            results[name] = _of(held[name].snapshot, here, held[name].choice)
+            results[name] = _of(held[name].compiled, here, held[name].choice)
         return results
 
     def _between(
@@ -202,7 +204,7 @@ class PhaseSearch:
                 often = self._beside[one].get(two)
                 if often is None:
                     continue
-                here, there = (held[n].snapshot.arrays for n in (one, two))
+                here, there = (held[n].compiled.arrays for n in (one, two))
                 for name in here.index.keys() & there.index.keys():
                     pair = (
                         (p, here.unit_of[here.index[name]]),

@@ -17,7 +17,7 @@ from poise.plan.problem.arrays import Placed
 from poise.plan.problem.changed_problem import keep_components, scale_of, share_cpu
 from poise.plan.problem.items import Item
 from poise.plan.problem.problem import Problem
-from poise.plan.result import Result, Snapshot
+from poise.plan.result import CompiledProblem, Result
 from poise.plan.result_records import Answer, Ask, Stopped
 
 LONGEST = 1e9
@@ -51,18 +51,18 @@ class Planner:
 
     def _build(self, problem: Problem) -> None:
         self._has_alternatives = alternatives.has_choice(problem)
-        self._keep(Snapshot(problem))
+        self._keep(CompiledProblem(problem))
 
-    def _keep(self, snapshot: Snapshot) -> None:
+    def _keep(self, compiled: CompiledProblem) -> None:
         self._parts: dict[frozenset[str], Planner] = {}
         self._sharing: Planner | None = None
-        self._snapshot = snapshot
-        self._greedy = snapshot.core.greedy
+        self._compiled = compiled
+        self._greedy = compiled.core.greedy
 
     @property
     def problem(self) -> Problem:
         """The problem as it is now, with the demands and pins that were given."""
-        return self._snapshot.problem
+        return self._compiled.problem
 
     def decide(
         self,
@@ -118,7 +118,7 @@ class Planner:
             )
         if method == "greedy" and not (fewer or self._has_alternatives):
             placed, complete = self._greedy()
-            return Result(self._snapshot, placed, complete, perf_counter() - start)
+            return Result(self._compiled, placed, complete, perf_counter() - start)
         _check_call(budget, method, seed, steps, stop)
         effort = Effort(min(budget, LONGEST), steps, seed, stop)
         if fewer or self._has_alternatives:
@@ -130,7 +130,7 @@ class Planner:
                 fewer=fewer,
             )
         else:
-            result = run_portfolio(self._snapshot, method, effort)
+            result = run_portfolio(self._compiled, method, effort)
         result.seconds = perf_counter() - start
         result.seed = seed
         return result
@@ -149,10 +149,10 @@ class Planner:
         """Return the placement of some components, without a choice among them."""
         part = self._parts.get(components)
         if part is None:
-            arrays = self._snapshot.arrays
+            arrays = self._compiled.arrays
             part = Planner(keep_components(self.problem, components, arrays=arrays))
             self._parts[components] = part
-        return run_portfolio(part._snapshot, method, effort)
+        return run_portfolio(part._compiled, method, effort)
 
     def update(self, demands: dict[str, dict[str, float]]) -> None:
         """Change what components need, from the next decision on.
@@ -169,7 +169,7 @@ class Planner:
             nothing has changed.
         """
         try:
-            self._keep(self._snapshot.updated(demands))
+            self._keep(self._compiled.updated(demands))
         except (TypeError, ValueError, RuntimeError) as error:
             raise UsageError(f"update: {error}") from None
 
@@ -214,7 +214,7 @@ class Planner:
             for c in self.problem.components
         )
         # what is held together counts on, so that F can be compared
-        scale = scale_of(self.problem, self._snapshot.arrays)
+        scale = scale_of(self.problem, self._compiled.arrays)
         self._build(replace(self.problem, components=components, overhead_scale=scale))
 
 
@@ -300,9 +300,9 @@ def evaluate(
     """
     runs = alternatives.without(problem, suspended) if suspended else problem
     choice, part = alternatives.chosen_by(runs, placement)
-    snapshot = Snapshot(part, given=placement)
-    placed = snapshot.arrays.placed(placement)
-    result = Result.of(snapshot, placed, method, given=True)
+    compiled = CompiledProblem(part, given=placement)
+    placed = compiled.arrays.placed(placement)
+    result = Result.of(compiled, placed, method, given=True)
     if suspended:
         choice = choice._replace(suspended=suspended, whole=problem, why=why)
     result.choice = choice
@@ -377,50 +377,50 @@ class Effort(NamedTuple):
         return Answer(*core.search(known, seconds, steps, self.seed, self.stop))
 
 
-def run_portfolio(snapshot: Snapshot, method: str, effort: Effort) -> Result:
+def run_portfolio(compiled: CompiledProblem, method: str, effort: Effort) -> Result:
     """Decide a problem in which every component is needed."""
-    core = snapshot.core
-    known, name = _start(snapshot, method)
+    core = compiled.core
+    known, name = _start(compiled, method)
     if method == "greedy" or (effort.is_none() and method == "auto"):
-        return Result.of(snapshot, known, name)
+        return Result.of(compiled, known, name)
     if method == "exact":
         if not core.provable:
             raise UsageError(
-                f"{snapshot.size} components on {len(snapshot.problem.computers)} "
+                f"{compiled.size} components on {len(compiled.problem.computers)} "
                 "computers are too many for 'exact' (at most 1024 on 64); take 'search'"
             )
         answer, finder = effort.exact(core, known), "exact"
     elif method == "search":
         answer, finder = effort.search(core, known), "search"
     else:
-        answer, finder = _auto(snapshot, known, effort)
+        answer, finder = _auto(compiled, known, effort)
     if answer.proven or answer.placed != known:
         name = finder
-    return _described(snapshot, name, answer)
+    return _described(compiled, name, answer)
 
 
-def _described(snapshot: Snapshot, method: str, answer: Answer) -> Result:
+def _described(compiled: CompiledProblem, method: str, answer: Answer) -> Result:
     proven, stopped_by = answer.proven, answer.stopped_by
-    is_none = not answer.placed and snapshot.size > 0
-    if is_none and (proven or is_hopeless(snapshot.arrays)):
+    is_none = not answer.placed and compiled.size > 0
+    if is_none and (proven or is_hopeless(compiled.arrays)):
         proven, stopped_by = True, "infeasible"
     return Result.of(
-        snapshot,
+        compiled,
         answer.placed,
         method,
         proven=proven,
         stopped_by=cast("Stopped", stopped_by),
-        bound=max(answer.bound, snapshot.core.bound()),
+        bound=max(answer.bound, compiled.core.bound()),
     )
 
 
-def _start(snapshot: Snapshot, method: str) -> tuple[Placed, str]:
+def _start(compiled: CompiledProblem, method: str) -> tuple[Placed, str]:
     """Return the placement to start from: as it is now, or the greedy's, or none."""
-    core = snapshot.core
+    core = compiled.core
     greedy, complete = core.greedy()
     # it subtracts in another order: what is just within a limit may be beyond it here
     placed: Placed = greedy if complete and core.feasible(greedy) else []
-    present: Placed = [] if method == "greedy" else snapshot.present
+    present: Placed = [] if method == "greedy" else compiled.present
     if not (present and core.feasible(present)):
         return placed, "greedy"
     if placed and sum(core.terms(placed)) < sum(core.terms(present)):
@@ -428,14 +428,16 @@ def _start(snapshot: Snapshot, method: str) -> tuple[Placed, str]:
     return present, "present"
 
 
-def _may_be_proven(snapshot: Snapshot) -> bool:
-    n, m = snapshot.size, len(snapshot.problem.computers)
+def _may_be_proven(compiled: CompiledProblem) -> bool:
+    n, m = compiled.size, len(compiled.problem.computers)
     return m == 2 or n * log2(m) <= MOST_PLACEMENTS  # noqa: PLR2004 - a tree of its own
 
 
-def _auto(snapshot: Snapshot, known: Placed, effort: Effort) -> tuple[Answer, str]:
+def _auto(
+    compiled: CompiledProblem, known: Placed, effort: Effort
+) -> tuple[Answer, str]:
     """Try to prove at once; search a little, try to prove again, and search on."""
-    core = snapshot.core
+    core = compiled.core
     if not core.provable:
         return effort.search(core, known), "search"
     budget = Budget(effort.seconds)
@@ -443,7 +445,7 @@ def _auto(snapshot: Snapshot, known: Placed, effort: Effort) -> tuple[Answer, st
     if before.proven or before.stopped_by == "interrupted":
         return before, "exact"
     # A search in two parts finds less than one: only for a proof it is worth it.
-    if _may_be_proven(snapshot):
+    if _may_be_proven(compiled):
         first = effort.share(LOOK_AROUND).search(core, before.placed)
         if first.stopped_by == "interrupted":
             return first, "search"

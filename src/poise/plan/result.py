@@ -58,7 +58,7 @@ class Result:
         Of the search.
     choice
         What was chosen besides the placement.
-    snapshot, placed
+    compiled, placed
         The problem, compiled, and the computer of each of its units.
     """
 
@@ -73,12 +73,12 @@ class Result:
 
     def __init__(  # a keyword would cost a tenth of a greedy decision
         self,
-        snapshot: Snapshot,
+        compiled: CompiledProblem,
         placed: Placed,
         complete: bool,  # noqa: FBT001
         seconds: float = 0.0,
     ) -> None:
-        self.snapshot = snapshot
+        self.compiled = compiled
         self.placed = placed
         self._complete = complete
         self.seconds = seconds
@@ -86,7 +86,7 @@ class Result:
     @classmethod
     def of(
         cls,
-        snapshot: Snapshot,
+        compiled: CompiledProblem,
         placed: Placed,
         method: str,
         *,
@@ -96,9 +96,9 @@ class Result:
         given: bool = False,
     ) -> Result:
         """Return a result; `placed` is empty when there is no placement."""
-        result = cls(snapshot, placed, bool(placed) or not snapshot.size)
+        result = cls(compiled, placed, bool(placed) or not compiled.size)
         result.method = method
-        result.proven = proven and snapshot.known
+        result.proven = proven and compiled.known
         result.stopped_by = stopped_by
         result._bound = bound
         result._given = given
@@ -123,12 +123,12 @@ class Result:
     @cached_property
     def placement(self) -> Mapping[str, str]:
         """Component -> computer; empty when none was found."""
-        return self.snapshot.arrays.placement(self.placed) if self._complete else {}
+        return self.compiled.arrays.placement(self.placed) if self._complete else {}
 
     @cached_property
     def broken(self) -> Sequence[str]:
         """The limits that a given placement breaks, for people."""
-        return violations(self.snapshot.arrays, self.placed)
+        return violations(self.compiled.arrays, self.placed)
 
     @property
     def feasible(self) -> bool:
@@ -148,7 +148,7 @@ class Result:
         if self._complete:
             return self.choice.why
         if self.method == "greedy" and not self.proven:
-            return self.snapshot.dead_end()
+            return self.compiled.dead_end()
         return IMPOSSIBLE if self.proven else NONE_FOUND
 
     @property
@@ -191,7 +191,7 @@ class Result:
         """The terms of F; None without a placement."""
         if not self._complete:
             return None
-        return self.snapshot.terms(self.placed).with_quality(self.choice.lost)
+        return self.compiled.terms(self.placed).with_quality(self.choice.lost)
 
     @cached_property
     def bound(self) -> float | None:
@@ -199,11 +199,11 @@ class Result:
 
         A bound that rounding has put above F is F.
         """
-        if self.objective is None or not (self.feasible and self.snapshot.known):
+        if self.objective is None or not (self.feasible and self.compiled.known):
             return None
         bound = self._bound
         if bound is None:
-            bound = self.snapshot.core.bound()
+            bound = self.compiled.core.bound()
         if bound == -inf:
             return None
         return min(bound + self.choice.lost, self.objective.total)
@@ -222,21 +222,21 @@ class Result:
         """The resource closest to its limit; None without a placement."""
         if not self._complete:
             return None
-        return tightest(self.snapshot.arrays, self.placed)
+        return tightest(self.compiled.arrays, self.placed)
 
     @cached_property
     def shortages(self) -> tuple[Shortage, ...]:
         """What computers are short of, where limits are soft; none: they are kept."""
         if not self._complete:
             return ()
-        return tuple(shortages(self.snapshot.arrays, self.placed))
+        return tuple(shortages(self.compiled.arrays, self.placed))
 
     @cached_property
     def times(self) -> tuple[TimeTaken, ...]:
         """How long what has a time limit takes."""
         if not (self._complete and self.problem.time_limits):
             return ()
-        arrays = self.snapshot.arrays
+        arrays = self.compiled.arrays
         takes = seconds(arrays, self.placed, loads(arrays, self.placed))
         return tuple(
             TimeTaken(
@@ -248,14 +248,14 @@ class Result:
     @cached_property
     def trace(self) -> tuple[GreedyStep, ...]:
         """What the greedy tries, step by step; empty beyond 2,000 trials."""
-        if self.snapshot.size * len(self.problem.computers) > LONGEST_TRACE:
+        if self.compiled.size * len(self.problem.computers) > LONGEST_TRACE:
             return ()
-        return self.snapshot.greedy_trace()
+        return self.compiled.greedy_trace()
 
     @property
     def problem(self) -> Problem:
         """The problem that was decided: with the architectures that were chosen."""
-        return self.snapshot.problem
+        return self.compiled.problem
 
     @property
     def unknown(self) -> tuple[str, ...]:
@@ -299,7 +299,7 @@ def _sentence(conflict: Conflict) -> str:
     return f"{limits}. It would fit with {conflict.relaxation}"
 
 
-class Snapshot:
+class CompiledProblem:
     """A problem as it was when it was decided, compiled.
 
     `given` is a placement that may split sets that must share a computer. `core` is
@@ -320,13 +320,13 @@ class Snapshot:
             core = Core(self.arrays)
         self.core = core
 
-    def updated(self, demands: dict[str, dict[str, float]]) -> Snapshot:
+    def updated(self, demands: dict[str, dict[str, float]]) -> CompiledProblem:
         """Return the same problem with other demands."""
         core = self.core.updated(demands)
         if not self._problem.soft_limits:
-            return Snapshot(self._problem, core)
+            return CompiledProblem(self._problem, core)
         # the core does not know which demands count for which soft limit
-        return Snapshot(_with_demand(self._problem, core.demand))
+        return CompiledProblem(_with_demand(self._problem, core.demand))
 
     @property
     def size(self) -> int:
