@@ -140,9 +140,11 @@ def learned(
     says = []
     for function, group in groups.items():
         needing = dict.fromkeys(a.name for a in actions if function in a.functions)
+        if len(group) == 1 or not needing:
+            continue
         noted, last = outcomes_of(robot, function)
         known = {circumstances: rates(of) for circumstances, of in noted.items()}
-        if len(group) == 1 or not needing or not (known or explore):
+        if not (known or explore):
             continue
         by_action = [known.get((name, conditions), {}) for name in needing]
         keys = [(a.name, hash_of(a, robot.folders)) for a in group]
