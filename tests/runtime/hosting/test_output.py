@@ -259,3 +259,8 @@ def test_what_is_logged_is_kept_without_its_time_and_passed_on_with_it(
     logging.getLogger("eye").warning("it is\nhot")
     assert [o.text for o in read(tmp_path).lines] == ["WARNING eye: it is", "hot"]
     assert terminal.getvalue() == "12:00 it is\nhot\n"
+    # as in `restore`, which another thread runs
+    logging.getLogger("poise.component.ear").warning("it is loud")
+    assert [o.text for o in read(tmp_path, "ear").lines] == [
+        "WARNING poise.component.ear: it is loud"
+    ]

@@ -28,6 +28,7 @@ _AHEAD = 1_000_000_000
 """What is so much later than now is of before the clock was set back [ns]."""
 _NOW, _BEFORE = ".output", ".output-before"
 _STDERR = 2
+_LOGGERS = "poise.component."
 _here = threading.local()
 
 
@@ -50,9 +51,12 @@ class OutputFile:
         self._trouble = ""
         self._lost: dict[str, tuple[str, float]] = {}
 
-    def add(self, text: str) -> None:
-        """Add a line; standard error is told when it cannot be."""
-        component = getattr(_here, "component", self._container)
+    def add(self, text: str, component: str = "") -> None:
+        """Add a line, of the component of this thread unless another is named.
+
+        Standard error is told when it cannot be.
+        """
+        component = component or getattr(_here, "component", self._container)
         with self._lock:
             # no two lines at one moment, so that none is told twice or never
             self._at = max(self._at + 1, int(wall_time() * 1e9))
@@ -176,6 +180,23 @@ class KeptStream(KeptLines):
             self._file.note_lost("in the agent's log", error)
 
 
+class _KeptLog(logging.Handler):
+    """Keeps what a component's own logger says as its, whichever thread runs that."""
+
+    def __init__(self, file: OutputFile) -> None:
+        super().__init__()
+        self._file = file
+
+    def emit(self, record: logging.LogRecord) -> None:
+        is_own = record.name.startswith(_LOGGERS)
+        component = record.name.removeprefix(_LOGGERS) if is_own else ""
+        try:
+            for line in self.format(record).split("\n"):
+                self._file.add(line, component)
+        except Exception:  # noqa: BLE001, what is logged is the user's
+            self.handleError(record)
+
+
 def keep_output(folder: Path, container: str) -> None:
     """Keep what this process writes from now on, also what it logs."""
     file = OutputFile(folder, container)
@@ -184,7 +205,7 @@ def keep_output(folder: Path, container: str) -> None:
     sys.stderr = KeptStream(sys.stderr, file)
     root = logging.getLogger()
     if root.handlers:  # they pass on to what was standard error, with the time
-        kept = logging.StreamHandler(KeptLines(file))
+        kept = _KeptLog(file)
         kept.setFormatter(logging.Formatter("%(levelname)s %(name)s: %(message)s"))
         root.addHandler(kept)
 
