@@ -13,7 +13,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from poise.emulate import Emulation, probe_host, sweep
+from poise.emulate import Emulation, probe_host, set_for, sweep
 from poise.emulate.cgroups import V2, Group, Groups, Probe
 from poise.emulate.limits import Limits
 from poise.emulate.registry import FOLDER, EmulationLayout, registered
@@ -198,7 +198,11 @@ def test_robot_with_an_impossible_computer_starts_nothing(tmp_path: Path) -> Non
 def test_bare_host_says_what_it_goes_without(
     two_computers: Robot, tmp_path: Path
 ) -> None:
-    with Emulation(two_computers, tmp_path, probe=bare()) as emulation:
+    with Emulation(two_computers, tmp_path, probe=bare(), keep=True) as emulation:
+        kept = set_for(two_computers)
+        assert kept is not None
+        with pytest.raises(UsageError, match="without namespaces and shaped"):
+            kept.cut("legs")
         said = "\n".join(emulation.without)
         for what in ("quota", "CPU set", "memory limit", "namespaces", "shaped links"):
             assert what in said

@@ -37,8 +37,9 @@ def test_each_fault_says_what_ends_it(
 
 
 def test_a_cut_without_namespaces_is_refused_for_that_reason_alone() -> None:
-    without = ("quota: no root", "namespaces and shaped links: no root")
-    state = KeptSet(robot="any", hardware="", without=without)
+    why = "namespaces and shaped links: no root"
+    without = ("quota: no root", why, "links of one's own: not in namespaces")
+    state = KeptSet(robot="any", hardware="", without=without, no_network=why)
     kept = Mock(layout=Mock(network=None), state=lambda: state)
     with pytest.raises(UsageError) as refused:
         emulated_set.EmulatedSet._network(kept)

@@ -228,10 +228,9 @@ class EmulatedSet:
 
     def _network(self) -> NetworkPlan:
         if self.layout.network is None:
-            reasons = (why for why in self.state().without if "namespaces" in why)
-            without = "; ".join(reasons)
             raise UsageError(
-                f"this machine does not emulate the network: without {without}"
+                "this machine does not emulate the network: without "
+                f"{self.state().no_network}"
             )
         return self.layout.network
 

@@ -190,7 +190,10 @@ class Emulation:
                 self._layout = replace(again, aside=aside)
             self._make(self._layout, groups, host, refused)
             if kept is not None:
-                kept = replace(kept, since=wall_time(), without=self.without)
+                why = "" if self._layout.network else "; ".join(host.without_network())
+                kept = replace(
+                    kept, since=wall_time(), without=self.without, no_network=why
+                )
                 self._layout = replace(self._layout, kept=kept)
             register(lambda _: self._layout)
         except BaseException as error:

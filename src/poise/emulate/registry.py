@@ -281,6 +281,7 @@ class KeptSet(Struct, frozen=True, kw_only=True):
     hardware: str
     since: float | None = None  # when it was up [s since 1970]; None: it is not yet
     without: tuple[str, ...] = ()  # `Emulation.without`
+    no_network: str = ""  # why there is no emulated network; empty: there is one
     faults: tuple[InjectedFault, ...] = ()  # the injected ones that are in force
 
     @classmethod
