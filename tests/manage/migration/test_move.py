@@ -512,6 +512,15 @@ def test_rolls_back_when_the_component_cannot_move(
     assert world.told("sink")[1] == 0
 
 
+def test_what_cannot_give_its_state_is_replaced_without_it(world: MovingRobot) -> None:
+    """It was asked for the state that `--fresh` drops, and so could not be mended."""
+    run = world.start("Unsnapshotable")
+    report = plan_replacement(run, "counter", "moved:Counter", fresh=True).run()
+    assert report.committed, report.reason
+    world.works()
+    assert world.told("sink")[1] == 0
+
+
 def test_rolls_back_and_says_so_when_the_component_does_not_come_to_rest(
     world: MovingRobot, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -71,6 +71,7 @@ class Request(IntEnum):
 
     STATE = 1
     ALL = 2
+    REST = 3  # All but the state: the target begins without one
 
 
 class StateTransfer(Struct, frozen=True, kw_only=True):
@@ -149,7 +150,7 @@ class StateSender:
                     self._requested.set()
                     self._wait_decided(limit)
                     # a request whose answer got lost gets the same delta again
-                    transfer = self._taken = self._taken or self._all()
+                    transfer = self._taken = self._taken or self._all(request)
                 # a snapshot may take long
                 check_lease(self._runner.lease, self._runner.spec.name)
                 return frame.segments(TRANSFER, transfer, Kind.RESULT)
@@ -177,10 +178,12 @@ class StateSender:
         if self._why_not:
             raise RunError(self._why_not)
 
-    def _all(self) -> StateTransfer:
+    def _all(self, request: int) -> StateTransfer:
         runner = self._runner
         with before_components(), runner.gate.borrowed():  # users' code
-            if self._has_sent_state:
+            if request == Request.REST:
+                transfer = StateTransfer()
+            elif self._has_sent_state:
                 delta = _frame_of(runner.component.snapshot_delta())
                 transfer = StateTransfer(delta=delta)
             else:
@@ -257,7 +260,8 @@ class StateReceiver:
         for name, channel in self._channels.items():
             late = f"component '{name}' ({self._sources[name][0]}) is not reached"
             poll_until(channel.try_connect, give_up_at, late)
-        if self._is_same and self._runner.copies_ahead:
+        is_fresh = self._runner.spec.fresh
+        if self._is_same and self._runner.copies_ahead and not is_fresh:
             left = max(0.0, deadline - time.monotonic())
             (channel,) = self._channels.values()
             restore(self._runner, fetch(channel, Request.STATE, left), self._adapt)
@@ -265,13 +269,16 @@ class StateReceiver:
     def request(self) -> None:
         """Request everything, on threads that only wait, before the sources pause."""
         component = self._runner.component
+        request = Request.REST if self._runner.spec.fresh else Request.ALL
         for method in (component.restore, component.restore_delta):
             codec(type_taken_by(method))  # looked up before the pause
         describe_type(type_taken_by(component.restore))
         for name, channel in self._channels.items():
             requested = self._requested[name] = Future()
             with going_first():
-                threads.daemon(_fetch_all, "receiver", channel, requested).start()
+                threads.daemon(
+                    _fetch_all, "receiver", channel, requested, request
+                ).start()
 
     def restore(self, limit: float) -> None:
         """Restore the state within `limit` [s], as soon as the sources send it."""
@@ -325,9 +332,11 @@ def fetch(channel: Channel, request: Request, limit: float) -> StateTransfer:
     return transfer
 
 
-def _fetch_all(channel: Channel, requested: Future[StateTransfer]) -> None:
+def _fetch_all(
+    channel: Channel, requested: Future[StateTransfer], request: Request
+) -> None:
     try:
-        requested.set_result(fetch(channel, Request.ALL, REQUEST_LIMIT))
+        requested.set_result(fetch(channel, request, REQUEST_LIMIT))
     except Exception as error:  # noqa: BLE001, `restore` raises it
         requested.set_exception(error)
 
