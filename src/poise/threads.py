@@ -130,7 +130,7 @@ def keep_at(work: Callable[..., object], *args: object) -> None:
             time.sleep(back_off.again_at - now)
 
 
-_FIRST_DELAY, _LONGEST_DELAY = 0.1, 5.0
+_FIRST_DELAY, LONGEST_DELAY = 0.1, 5.0
 """The second restart is after this time [s], the next after twice that, to this."""
 _CALM = 10.0
 """After so long without an end the next restart is at once again [s]."""
@@ -150,4 +150,4 @@ class BackOff:
             self._delay = 0.0
         self._ended_at = now
         self.again_at = now + self._delay * jitter
-        self._delay = min(max(_FIRST_DELAY, 2 * self._delay), _LONGEST_DELAY)
+        self._delay = min(max(_FIRST_DELAY, 2 * self._delay), LONGEST_DELAY)

@@ -31,6 +31,7 @@ from poise.simulation.robot.simulated_robot import (
 )
 from poise.simulation.scheduler import ENGINE, SimulationError
 from poise.simulation.workload import SimulatedWork
+from poise.threads import LONGEST_DELAY
 from poise.wire.records.request_records import Claim, Election, ManagerId
 from tests.simulation.aimed_faults import AimedFaults
 from tests.simulation.clients import Clients
@@ -240,6 +241,8 @@ class _Run:
         robot.run(max([end, *(f.at + f.lasts for f in self.faults)]) + 0.01)
         self._heal()
         limit = self._scenario.converges
+        if self._scenario.workload.flaws:  # what has crashed waits before it begins
+            limit += LONGEST_DELAY
         troubles = not_well
         if self._scenario.is_wild:
             keeps = self._scenario.election is not None
