@@ -7,6 +7,7 @@ import sys
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from functools import partial
+from math import inf, nan
 from pathlib import Path
 from typing import Any, cast
 
@@ -20,6 +21,8 @@ from poise.session.run_records import ComponentReport
 from poise.session.run_report import RunReport
 from poise.wire.records.status_records import Summary, TimerStatus
 from tests.waiting import LONG
+
+NOBODY = poise.Running("nobody")
 
 
 def hello() -> Robot:
@@ -298,6 +301,10 @@ def test_a_file_may_be_named_by_a_string() -> None:
             "record=3: it must be a path",
         ),
         (lambda: poise.stop_without_manager(cast("Any", "x")), "'x' is not a robot"),
+        (lambda: NOBODY.replace("a", "b", watch=nan), "watch=nan: it must be 0 or mo"),
+        (lambda: NOBODY.balance(cost=-1.0), "cost=-1.0: it must be 0 or more"),
+        (lambda: next(NOBODY.echo("a.b", rate=inf)), "rate=inf: .* and finite"),
+        (lambda: NOBODY.tasks.wait("a", cast("Any", "9")), "seconds='9': it must be"),
     ],
 )
 def test_an_argument_of_another_type_is_named(

@@ -19,6 +19,13 @@ def check_type(name: str, value: object, kind: type | UnionType, is_what: str) -
         raise UsageError(f"{name}={short(value)}: it must be {is_what}")
 
 
+def check_amount(name: str, value: object) -> None:
+    """Raise UsageError unless a number is 0 or more, and finite."""
+    check_type(name, value, Real, "a number")
+    if not 0 <= float(value) < inf:  # type: ignore[arg-type]
+        raise UsageError(f"{name}={value}: it must be 0 or more, and finite")
+
+
 def check_path(name: str, value: object) -> None:
     """Raise UsageError for what is no path, such as an open file."""
     check_type(name, value, str | PathLike, "a path: a text or a `pathlib.Path`")

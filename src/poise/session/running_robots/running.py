@@ -5,6 +5,7 @@ from __future__ import annotations
 import secrets
 import time
 from collections.abc import Iterator, Sequence
+from numbers import Real
 from typing import Literal
 
 from msgspec.structs import asdict
@@ -36,6 +37,7 @@ from poise.manage.migration.migration_report import MigrationReport, WhatIf
 from poise.manage.observe.chains import ChainReport
 from poise.manage.tasks.concurrent_tasks import TaskReport
 from poise.manage.tasks.task_progress import OVER
+from poise.session.arguments import check_amount, check_type
 from poise.session.render.printable import Printable
 from poise.session.render.status_tables import detail_parts, status_parts
 from poise.session.render.tables import Outcome, outcome_sentence
@@ -94,9 +96,10 @@ class RunningTasks:
 
         Raises Timeout: it was not within `seconds` [s].
         """
+        check_type("seconds", seconds, Real, "a number")
         until = time.monotonic() + seconds
         while (report := self.show(task)).state not in OVER:
-            if time.monotonic() > until:
+            if not time.monotonic() <= until:  # also when that is no number
                 raise Timeout(
                     f"task '{task}' is {report.state} after {seconds:g} s"
                     + (f": {report.why}" if report.why else "")
@@ -281,6 +284,7 @@ class Running:
         RolledBack
             It failed; all goes on as before.
         """
+        check_amount("watch", watch)
         return self._migrate(ReplaceCommand(what, by, adapt, fresh, watch))
 
     def balance(self, *, cost: float = 0.01, dry_run: bool = False) -> Rebalanced:
@@ -298,6 +302,7 @@ class Running:
         RolledBack
             A move failed; everything is where it was.
         """
+        check_amount("cost", cost)
         answer = ask(self.name, RebalanceCommand(cost, dry_run), Rebalanced)
         if answer.report is not None and not answer.report.committed:
             raise RolledBack(f"rolled back: {answer.report.reason}", answer)
@@ -316,6 +321,7 @@ class Running:
             This number of messages or calls a second comes with its content, the
             others with their time alone.
         """
+        check_amount("rate", rate)
         viewer = secrets.token_hex(8)
         latest = (0, 0)
         while True:
