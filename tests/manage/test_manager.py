@@ -14,6 +14,7 @@ from poise.manage.control_socket.commands import (
     MoveCommand,
     ParametersCommand,
     Refusal,
+    RobotStatus,
     StatusCommand,
     StopCommand,
     StopReport,
@@ -326,6 +327,17 @@ def test_why_a_record_of_an_agent_was_refused_is_told(managed: Managed) -> None:
     managed.agents.refused = ["a record at poise/tiny/status/left was refused: odd"]
     managed.manager.work(0.0)
     assert managed.journal.entries()[-1].what.endswith("was refused: odd")
+
+
+def test_a_robot_that_is_being_stopped_says_what_that_waits_for(
+    managed: Managed,
+) -> None:
+    assert managed.manager.status().under_way == ()
+    managed.manager.submit(StopCommand())
+    status = managed.manager.submit(StatusCommand()).result(0.0)
+    assert isinstance(status, RobotStatus)
+    [sentence] = status.under_way
+    assert sentence.startswith("the stop waits for `deactivate` and `cleanup` of '")
 
 
 @pytest.mark.parametrize("command", [TapCommand("a.b", "me"), LogCommand(), COMMAND])

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+import os
+import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import FrameType
 from typing import Annotated
 
 import typer
@@ -39,22 +42,25 @@ _LAST_ANSWER = 15.0
 
 
 @contextmanager
-def telling_progress(running: Running) -> Iterator[None]:
-    """Say what migrations of a robot wait for, until the block ends."""
-    is_over = threading.Event()
+def telling_progress(running: Running) -> Iterator[list[str]]:
+    """Say what migrations of a robot wait for, until the block ends.
+
+    Yields what was said last.
+    """
+    is_over, said = threading.Event(), list[str]()
 
     def tell() -> None:
         while not is_over.wait(TELL_EVERY):
             try:
-                sentences = running.status().under_way
+                said[:] = running.status().under_way
             except PoiseError:  # the command itself says why
                 return
-            sys.stderr.writelines(f"{sentence}\n" for sentence in sentences)
+            sys.stderr.writelines(f"{sentence}\n" for sentence in said)
 
     telling = threads.daemon(tell, "progress")
     telling.start()
     try:
-        yield
+        yield said
     finally:
         is_over.set()
         # zenoh aborts a process that ends while another thread waits in it
@@ -240,17 +246,36 @@ def stop_command(
 
     A move under way is rolled back. The exit code is 1 when something still runs. What
     a killed manager left is ended by its agents. With --file that needs nothing else:
-    all containers on the computers of the robot end.
+    all containers on the computers of the robot end. Ctrl-C ends the waiting, and the
+    robot goes on to stop.
 
     Example: poise stop
     """
     _check_one(file, robot)
     with busy("stopping"):
         if file is None:
-            Running(robot).stop()
+            _stop(Running(robot))
         else:
             poise.stop_without_manager(load(file))
     console_to().print("stopped")
+
+
+def _stop(running: Running) -> None:
+    """Stop a robot, and say what that waits for; Ctrl-C says so, too, and leaves."""
+    with telling_progress(running) as said:
+        before = signal.getsignal(signal.SIGINT)
+
+        def leave(number: int, frame: FrameType | None) -> None:
+            why = f": {'; '.join(said)}" if said else ""
+            os.write(2, f"not waiting any more; the robot is stopping{why}\n".encode())
+            if callable(before):
+                before(number, frame)
+
+        signal.signal(signal.SIGINT, leave)
+        try:
+            running.stop()
+        finally:
+            signal.signal(signal.SIGINT, before)
 
 
 def _act(act: Callable[[], Outcome], *, as_json: bool) -> None:

@@ -20,9 +20,10 @@ from typing import TypeVar
 from msgspec import structs
 
 from poise.clock import wall_time
-from poise.errors import PoiseError, TakenOver, UsageError
+from poise.errors import PoiseError, TakenOver, UsageError, listed
 from poise.manage.adaptation.loop import Adaptation
 from poise.manage.adaptation.situation import Situation, SituationReader
+from poise.manage.agent_connections.statuses import located
 from poise.manage.control_socket.commands import (
     Command,
     MoveCommand,
@@ -34,6 +35,7 @@ from poise.manage.control_socket.commands import (
     ReplaceCommand,
     Result,
     RobotStatus,
+    StatusCommand,
     StopCommand,
     StopReport,
     TaskCommand,
@@ -76,6 +78,9 @@ TICK = 0.2
 """A manager looks at its robot so often [s]."""
 Results = Future[Result | Refusal]
 T = TypeVar("T")
+
+_WHILE_STOPPING = StatusCommand, RecordCommand
+"""Commands that are carried out while the robot is being stopped."""
 
 
 class Manager:
@@ -149,7 +154,7 @@ class Manager:
             self._stops.append(future)  # before the flag, or nobody answers it
             self._stopping.set()
             self._live.cancel()
-        elif self.is_stopping and not isinstance(command, RecordCommand):
+        elif self.is_stopping and not isinstance(command, _WHILE_STOPPING):
             future.set_result(Refusal("the robot is being stopped", "RunError"))
         elif (seen := answer(self._live, self.status, command)) is not None:
             future.set_result(seen)
@@ -197,11 +202,18 @@ class Manager:
             under_way=(
                 *(p.under_way() for _, p, _ in self._pending.copy()),
                 *self._canaries.under_way(),
+                *(self._stop_waits() if self.is_stopping else ()),
             ),
             faults=self._watch.num_faults + len(lost_states),
             lost_states=lost_states,
             prefetch=self._prefetch.report(),
         )
+
+    def _stop_waits(self) -> Iterator[str]:
+        """Yield what a stop waits for, in words; from any thread."""
+        known = located(self._live.agents.statuses())
+        if names := sorted({component.name for _, component in known}):
+            yield f"the stop waits for `deactivate` and `cleanup` of {listed(names)}"
 
     def away(self) -> frozenset[str]:
         """Return the computers that do not obey: they may be back in a moment."""
