@@ -118,6 +118,12 @@ def test_a_task_that_is_named_twice_is_no_task_that_runs_already() -> None:
     assert not done.stdout
 
 
+def test_a_drawing_of_no_placement_is_refused() -> None:
+    done = run_poise("draw", HELLO / "robot.yaml", "--compare", ",", "-o", "-")
+    assert done.returncode == 2
+    assert "',' names no placement, as static,auto" in done.stderr
+
+
 def test_a_drawing_without_a_task_is_of_all_functions_and_says_so() -> None:
     tasks = HELLO.with_name("tasks") / "robot.yaml"
     drawn = run_poise("draw", tasks, "--placement", "auto", "-o", "-").stdout

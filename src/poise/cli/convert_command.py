@@ -88,6 +88,9 @@ def draw_command(
             "--placement and --compare exclude each other: --compare lists placements"
         )
     names = [n.strip() for n in (compare or placement or "").split(",") if n.strip()]
+    if not names and {compare, placement} != {None}:
+        given = compare or placement or ""
+        raise UsageError(f"{given!r} names no placement, as static,auto")
     chosen: What = what or ("deployment" if names else "components")
     if chosen != "components" and not names:
         names = ["static", "auto"] if chosen == "transition" else ["auto"]
