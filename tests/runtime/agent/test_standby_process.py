@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import resource
 from pathlib import Path
 
 import pytest
+from msgspec.structs import replace
 
 from poise.runtime.agent import standby_process
 from poise.runtime.agent.standby_process import StandbyProcess
@@ -34,3 +36,26 @@ def test_one_that_is_busy_is_told_once(
     process.stdin.close()
     process.wait()
     assert told.read_text() in {"lead\nend\n", "end\n"}
+
+
+@pytest.mark.slow
+def test_another_one_waits_though_the_disk_is_full_when_only_the_leader_changed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(standby_process, "_COMMAND", ("sh", "-c", "read word"))
+    standby = StandbyProcess("left", tmp_path, None)
+    standby.keep(Claim(manager=MANAGER))
+    first = standby._process
+    assert first is not None
+    standby.lead()
+    first.communicate()  # it led, and was killed
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1, before[1]))
+    try:
+        standby.keep(Claim(manager=replace(MANAGER, key="other")))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    second = standby._process
+    assert second is not None
+    assert second is not first
+    second.communicate()

@@ -36,6 +36,7 @@ class StandbyProcess:
         self._keys = keys.to_lead if keys is not None else None
         self._path = folder / "claim"
         self._kept: Claim | None = None
+        self._written: tuple[object, object] | None = None
         self._process: subprocess.Popen[bytes] | None = None
 
     def keep(self, claim: Claim | None) -> None:
@@ -54,9 +55,12 @@ class StandbyProcess:
             raise
 
     def _wait_with(self, claim: Claim, *, has_ended: bool) -> None:
-        draft = self._path.with_suffix(".new")
-        draft.write_bytes(encode(claim))
-        draft.replace(self._path)
+        robot = claim.agents, claim.election  # all that a standby looks at
+        if robot != self._written:
+            draft = self._path.with_suffix(".new")
+            draft.write_bytes(encode(claim))
+            draft.replace(self._path)
+            self._written = robot
         if self._process is None or has_ended:
             self._process = subprocess.Popen(  # noqa: S603, Poise itself
                 [*_COMMAND, self._computer, "--claim", str(self._path)],
