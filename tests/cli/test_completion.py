@@ -93,6 +93,11 @@ def test_without_a_file_there_are_no_names(params: dict[str, Any]) -> None:
         ("poise log --robot two h", ["hand"]),
         ("poise status --robot t", ["two"]),
         ("poise list con", ["connectors"]),
+        ("poise k", ["keys"]),
+        ("poise keys i", ["init", "issue"]),
+        ("poise task ", ["start", "pause"]),
+        ("poise task pause --ro", ["--robot"]),
+        (f"poise emulate {HELLO} --ro", []),
         (f"poise plan {HELLO} --task g", ["greet"]),
         (f"poise plan {HELLO} --without l", ["left"]),
         (f"poise run {HELLO} --task g", ["greet"]),
@@ -118,7 +123,8 @@ def test_a_line_is_completed_in_every_shell(
     }.items():
         monkeypatch.setitem(os.environ, name, value)
     with pytest.raises(SystemExit):
-        build(words[1:])(prog_name="poise")
+        build([w for w in words[1:] if w], completes=True)(prog_name="poise")
     said = capsys.readouterr().out
     assert all(name in said for name in completed)
+    assert "keys init" not in said
     assert "Usage" not in said

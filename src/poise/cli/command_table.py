@@ -95,8 +95,11 @@ _EXIT_CODES = (
 )
 
 
-def build(arguments: Sequence[str]) -> typer.Typer:
-    """Return the command line; only the command that is asked for is imported."""
+def build(arguments: Sequence[str], *, completes: bool = False) -> typer.Typer:
+    """Return the command line; only the command that is asked for is imported.
+
+    `completes`: a shell asks what the last of the arguments may become.
+    """
     app = typer.Typer(
         help="Keeps a robot's software in balance over its on-board computers.",
         epilog=_EXIT_CODES,
@@ -108,6 +111,8 @@ def build(arguments: Sequence[str]) -> typer.Typer:
     words = [word for word in arguments if not word.startswith("-")]
     both = " ".join(words[:2])
     asked = both if both in COMMANDS else "".join(words[:1])
+    if completes and asked == "".join(words[:1]) and not arguments[-1].startswith("-"):
+        asked = _offer_seconds(app, asked, "".join(words[1:2]))
     for name, (where, help_) in COMMANDS.items():
         if name == asked:
             loaded = importlib.import_module(f"poise.cli.{where}_command")
@@ -115,7 +120,7 @@ def build(arguments: Sequence[str]) -> typer.Typer:
             command = getattr(loaded, f"{last}_command")
             help_text = _flowing(inspect.getdoc(command) or "")
             group.command(last, help=help_text, epilog=_EXIT_CODES)(command)
-        elif not asked.startswith(f"{name} "):
+        elif name != asked.partition(" ")[0] and not (completes and " " in name):
             app.command(name, help=help_)(_not_loaded)
     return app
 
@@ -123,7 +128,7 @@ def build(arguments: Sequence[str]) -> typer.Typer:
 def check_words(arguments: Sequence[str]) -> None:
     """Raise UsageError for a second word that is neither a command nor a file."""
     first, second, *_ = (*arguments, "", "")
-    choices = [n.partition(" ")[2] for n in COMMANDS if n.startswith(f"{first} ")]
+    choices = _seconds(first)
     is_word = second[:1].isalpha() and not {".", "/"} & {*second}
     is_word &= first not in _NAMING
     if choices and is_word and second not in choices and not Path(second).exists():
@@ -131,6 +136,23 @@ def check_words(arguments: Sequence[str]) -> None:
             f"there is no command '{first} {second}'{did_you_mean(second, choices)}, "
             f"and no file '{second}'; commands: {listed(choices)}"
         )
+
+
+def _seconds(first: str) -> list[str]:
+    """Return the second words that make sub-commands of a command."""
+    return [n.partition(" ")[2] for n in COMMANDS if n.startswith(f"{first} ")]
+
+
+def _offer_seconds(app: typer.Typer, first: str, begun: str) -> str:
+    """Add the sub-commands that a second word may become; return what is asked for."""
+    offers = [second for second in _seconds(first) if second.startswith(begun)]
+    if not offers:
+        return first
+    group = typer.Typer(callback=_not_loaded)
+    app.add_typer(group, name=first)
+    for second in offers:
+        group.command(second, help=COMMANDS[f"{first} {second}"][1])(_not_loaded)
+    return f"{first} {offers[0]}..."
 
 
 def _group_of(app: typer.Typer, name: str) -> tuple[typer.Typer, str]:

@@ -83,7 +83,7 @@ def _run(words: list[str]) -> NoReturn:
     try:
         if not completed:
             check_words(words)
-        app = build(completed or words)
+        app = build(completed or words, completes=bool(completed))
         sys.exit(app(prog_name="poise", standalone_mode="--json" not in words))
     except misuse as error:
         _fail(UsageError(error.format_message()), 2)
