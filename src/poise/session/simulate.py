@@ -7,6 +7,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
+from numbers import Integral
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -203,7 +204,7 @@ def _scenario(
     """Return what the user asks for, but for the placement, if it can be simulated."""
     _, plan = _engine()  # before anything is decided
     check_duration("a simulation", seconds)
-    check_type("seed", faults[1], int, "a whole number")
+    check_type("seed", faults[1], Integral, "a whole number")
     check_path("recording", recording or "")
     return plan(
         robot=robot,

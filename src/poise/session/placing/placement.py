@@ -8,7 +8,7 @@ from collections.abc import Collection, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from functools import partial
 from itertools import cycle
-from numbers import Real
+from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
 
@@ -368,7 +368,7 @@ def place(  # noqa: PLR0913 - each is a choice of the user
     check_robot(robot)
     check_task(task)
     check_type("method", method, str, "the name of a method, such as auto")
-    check_type("seed", seed, int, "a whole number")
+    check_type("seed", seed, Integral, "a whole number")
     check_type("budget", budget, Real | None, "a number of seconds")
     actions = robot.actions(task)
     robot = learned(
