@@ -14,6 +14,7 @@ from poise.manage.control_socket.commands import (
     MoveCommand,
     ParametersCommand,
     Refusal,
+    ReplaceCommand,
     RobotStatus,
     StatusCommand,
     StopCommand,
@@ -174,6 +175,13 @@ def test_a_rehearsed_move_is_refused_as_the_move_would_be(managed: Managed) -> N
         refusal = asked.result(0.0)
         assert isinstance(refusal, Refusal)
         assert "'thinker' is not movable" in refusal.reason
+
+
+def test_a_state_is_mapped_or_dropped(managed: Managed) -> None:
+    command = ReplaceCommand("thinker", "new:Thinker", adapt="new:adapt", fresh=True)
+    asked = managed.manager.submit(command)
+    managed.manager.work(0.0)
+    assert "give one of them" in str(asked.result(0.0))
 
 
 def test_a_move_to_a_computer_that_is_out_of_reach_is_refused_at_once(

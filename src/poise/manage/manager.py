@@ -405,6 +405,10 @@ class Manager:
             case MoveCommand(component, computer, force):
                 pending = plan_move(live, component, computer, force=force)
                 self._adaptation.check_asked(component, computer, force=force)
+            case ReplaceCommand(adapt=adapt, fresh=True) if adapt:
+                raise UsageError(
+                    "--adapt maps the old state, and --fresh drops it: give one of them"
+                )
             case ReplaceCommand(by=by, adapt=adapt, watch=watch) if watch and (
                 adapt or ":" not in by
             ):
