@@ -31,6 +31,10 @@ _RemappedName = Annotated[
 ]
 
 
+START = "how it starts"
+"""Poise's own parameter of a `node`: no parameter of ROS 2 is called so."""
+
+
 class Ros2Node(Struct, frozen=True, kw_only=True):
     """A ROS 2 node that is a component: an executable of any language, or a class."""
 

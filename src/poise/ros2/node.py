@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, get_type_hints
 
 from poise.errors import RobotError, UsageError, did_you_mean, listed
-from poise.model.ros2_node import as_arguments, flat
+from poise.model.ros2_node import START, as_arguments, flat
 from poise.ros2 import ros_context
 from poise.ros2.executor_source import ExecutorSource
 from poise.runtime.component.component import Component
@@ -21,7 +21,7 @@ from poise.runtime.component.implementation import find_function
 class RosNode(Component):
     """Runs the node that its parameters name, and no other parameter is its own."""
 
-    _start_parameters = frozenset({"ros2"})
+    _start_parameters = frozenset({START})
     make: Callable[[], Any]
 
     @classmethod
@@ -30,7 +30,7 @@ class RosNode(Component):
     ) -> type[Component]:
         """Return a class that hands the node's state over, if it has any."""
         ros_context.rclpy()
-        make = find_function(parameters["ros2"]["node"], folder)
+        make = find_function(parameters[START]["node"], folder)
         code = make if inspect.isclass(make) else get_type_hints(make).get("return")
         own: dict[str, Any] = {"make": staticmethod(make)}
         if hasattr(code, "snapshot") and hasattr(code, "restore"):
@@ -39,12 +39,12 @@ class RosNode(Component):
 
     def configure(self) -> None:
         """Make the node; a lifecycle node is configured."""
-        ros2 = self.parameters["ros2"]
-        ros_context.join(ros2["environment"])
+        start = self.parameters[START]
+        ros_context.join(start["environment"])
         self._is_joined = True
-        values = {k: v for k, v in self.parameters.items() if k != "ros2"}
-        with ros_context.arguments_given([*ros2["arguments"], *as_arguments(values)]):
-            self.node = _made(type(self).make, ros2["node"])
+        values = {k: v for k, v in self.parameters.items() if k != START}
+        with ros_context.arguments_given([*start["arguments"], *as_arguments(values)]):
+            self.node = _made(type(self).make, start["node"])
         self._transit("configure")
         for name, _ in flat(values):
             self._check_declared(name)

@@ -140,6 +140,14 @@ def test_a_script_runs_in_the_python_of_the_agent(tmp_path: Path) -> None:
     assert robot.component("scan").command == ("python", "./a.py")
 
 
+def test_a_node_may_have_a_parameter_of_any_name(tmp_path: Path) -> None:
+    node = "{ros2: {node: 'nav.plan:Planner', params: {ros2: {rate: 5}}}}"
+    (plan,) = of(tmp_path, f"{HEAD}      plan: {node}\n").components()
+    start, *params = plan.parameters.items()
+    assert start[1]["node"] == "nav.plan:Planner"
+    assert params == [("ros2", {"rate": 5})]
+
+
 def test_a_bridge_becomes_a_component_beside_the_one_with_the_port(
     tmp_path: Path,
 ) -> None:

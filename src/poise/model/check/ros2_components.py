@@ -16,7 +16,7 @@ from poise.endpoint import Endpoint
 from poise.errors import unknown
 from poise.model.check.names import component_names, components, connectors
 from poise.model.robot import ComponentEntry, Connector, ConnectorEnd, Robot
-from poise.model.ros2_node import wrong_parameters
+from poise.model.ros2_node import START, wrong_parameters
 from poise.model.software import ComponentCode, Ros2Bridge
 from poise.model.yaml_tree import Finding
 from poise.units import quoted
@@ -172,7 +172,7 @@ def _with_node(entry: ComponentEntry, environment: Mapping[str, str]) -> Compone
         "arguments": list(node.names()),
         "environment": dict(environment),
     }
-    parameters = {"ros2": start, **node.params}
+    parameters = {START: start, **node.params}
     return replace(entry, implementation=NODE, parameters=parameters)
 
 
