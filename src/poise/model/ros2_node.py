@@ -110,7 +110,7 @@ def as_arguments(params: Mapping[str, Any]) -> tuple[str, ...]:
     words = [
         word
         for name, value in flat(params)
-        for word in ("-p", f"{name}:={json.dumps(value)}")
+        for word in ("-p", f"{name}:={json.dumps(value, ensure_ascii=False)}")
     ]
     return ("--ros-args", *words) if words else ()
 

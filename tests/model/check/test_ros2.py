@@ -140,6 +140,13 @@ def test_a_script_runs_in_the_python_of_the_agent(tmp_path: Path) -> None:
     assert robot.component("scan").command == ("python", "./a.py")
 
 
+def test_a_text_may_have_any_letter(tmp_path: Path) -> None:
+    node = "{ros2: {executable: a, params: {face: 'é 😀'}}}"
+    robot = of(tmp_path, f"{HEAD}      scan: {node}\n")
+    # ROS 2 refuses letters that are written as two \\u
+    assert robot.component("scan").command[-1] == 'face:="é 😀"'
+
+
 def test_a_node_may_have_a_parameter_of_any_name(tmp_path: Path) -> None:
     node = "{ros2: {node: 'nav.plan:Planner', params: {ros2: {rate: 5}}}}"
     (plan,) = of(tmp_path, f"{HEAD}      plan: {node}\n").components()
