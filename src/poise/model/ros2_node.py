@@ -134,7 +134,9 @@ def wrong_parameters(params: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         if not re.fullmatch(_PARAMETER, name):
             yield name, "is no name of a parameter: letters, digits, '_', '.' and '/'"
         kinds = {type(each) for each in (value if isinstance(value, list) else [value])}
-        if not kinds <= {*_PLAIN}:
+        if not kinds:
+            yield name, "is an empty list, of which ROS 2 knows no type: leave it out"
+        elif not kinds <= {*_PLAIN}:
             yield name, "is no bool, number or text, and no list of them"
         elif len(kinds) > 1:
             yield name, "is a list of several types: write all as one, as in [1.0, 2.5]"

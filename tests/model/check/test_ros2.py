@@ -84,6 +84,7 @@ def node_with(key: str) -> str:
         (node_with("params: {b: {▸1: 1}}"), ["parameter 'b.1' is no name"]),
         (node_with("params: {▸a: null}"), ["'a' is no bool, number or text"]),
         (node_with("params: {▸a: [{b: 1}]}"), ["'a' is no bool, number or text"]),
+        (node_with("params: {▸a: []}"), ["'a' is an empty list"]),
         (node_with("params: {▸a: [1, 2.5]}"), ["'a' is a list of several types"]),
         (node_with("remap: {▸'': /a}"), ["'' is not allowed"]),
         (node_with("remap: {▸a: ''}"), ["'' is not allowed"]),

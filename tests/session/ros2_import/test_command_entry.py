@@ -125,13 +125,15 @@ def test_reads_values_of_parameters_as_rcl_does(text: str, value: object) -> Non
     assert (params, type(params["x"])) == ({"x": value}, type(value))
 
 
-def test_parameters_that_are_not_finite_are_arguments() -> None:
-    line = "/opt/ros/kilted/lib/lidar/node --ros-args -p far:=-.inf -p near:=.1"
+def test_parameters_that_no_robot_file_holds_are_arguments() -> None:
+    line = (
+        "/opt/ros/kilted/lib/lidar/node --ros-args -p far:=-.inf -p near:=.1 -p all:=[]"
+    )
     assert keys(line)["ros2"] == {
         "package": "lidar",
         "executable": "node",
         "params": {"near": 0.1},
-        "arguments": ["--ros-args", "-p", "far:=-inf", "--"],
+        "arguments": ["--ros-args", "-p", "far:=-inf", "-p", "all:=[]", "--"],
     }
 
 

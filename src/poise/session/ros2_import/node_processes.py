@@ -368,7 +368,7 @@ def start_of(process: NodeProcess, here: WhereImported) -> Start:
     ros2, remarks = _program(process, found, here), list[str]()
     params, files = _parameters(process, found, here, remarks)
     params |= found.params
-    kept = [*found.kept, *_not_finite(params)]
+    kept = [*found.kept, *_unwritable(params)]
     kept = ["--ros-args", *kept, "--"] if kept else []
     optional = {
         "arguments": [*ros2.pop("arguments", ()), *found.others, *kept],
@@ -442,9 +442,13 @@ def _parameters(
     return params, files
 
 
-def _not_finite(params: dict[str, Any]) -> list[str]:
+def _unwritable(params: dict[str, Any]) -> list[str]:
     """Return as arguments the parameters that no robot file holds; drop them there."""
-    names = [n for n, v in params.items() if isinstance(v, float) and not isfinite(v)]
+    names = [
+        name
+        for name, value in params.items()
+        if value == [] or (isinstance(value, float) and not isfinite(value))
+    ]
     return [word for n in names for word in ("-p", f"{n}:={params.pop(n)}")]
 
 
