@@ -21,9 +21,7 @@ class Taking:
         port = SimpleNamespace(publish=self.took.append)
         self.bridge.__dict__ |= {"port": SimpleNamespace(name="said"), "said": port}
         self.bridge.node = SimpleNamespace(create_subscription=self._created)
-        line = BridgeLine(
-            ros2="/said", type="std_msgs/msg/String", durability="transient local"
-        )
+        line = BridgeLine(ros2="/said", type="std_msgs/msg/String")
         self.bridge._subscribe(line, lambda message: message, {})
 
     def _created(self, kind: Any, topic: str, take: Any, *_: Any, **__: Any) -> None:
@@ -46,4 +44,5 @@ def test_a_message_is_new_by_the_clock_of_its_publisher() -> None:
     after.takes("ahead", publisher=1, stamp=1000)  # the last ones come again
     after.takes("late", publisher=2, stamp=400)
     after.takes("new", publisher=2, stamp=500)
-    assert after.took == ["new"]
+    after.takes("set back", publisher=2, stamp=300)
+    assert after.took == ["new", "set back"]

@@ -64,22 +64,26 @@ class FromTopics(ToTopics):
 
     def configure(self) -> None:
         """Make a node of its own."""
-        self._before: Mapping[str, int] = {}
+        self._before: dict[str, int] = {}
         self._came: dict[str, int] = {}
         super().configure()
 
     def snapshot(self) -> Came:
-        """Return until when it took messages: ROS 2 sends some again."""
+        """Return until when it took messages: its successor gets some of them, too."""
         return Came(dict(self._came))
 
     def restore(self, state: Came) -> None:
         """Take nothing that the bridge before has taken."""
-        self._before, self._came = state.stamps, dict(state.stamps)
+        self._before, self._came = dict(state.stamps), dict(state.stamps)
 
     def open(self) -> None:
         """Make the subscriptions."""
         for entry, pair in zip(self.entries, self.conversions(self.clock), strict=True):
             self._subscribe(entry, pair.from_ros, {})
+
+    def activate(self) -> None:
+        """Begin to hear ROS 2, with what came since its predecessor heard the last."""
+        self.listen()
 
     def listen(self) -> None:
         """Let callbacks run on the component's thread."""
@@ -91,17 +95,16 @@ class FromTopics(ToTopics):
         """Subscribe; with `less` when a publisher offers no more, which is said."""
         from rclpy.event_handler import SubscriptionEventCallbacks  # noqa: PLC0415, only where a node runs
 
-        def take(message: Any) -> None:  # noqa: ANN401, a message
+        def take(message: Any, info: Mapping[str, Any]) -> None:  # noqa: ANN401, a message
+            publisher = bytes(info["publisher_gid"]["data"]).hex()
+            stamp = info["source_timestamp"]
+            if stamp <= self._before.get(publisher, -1):
+                return
+            self._before.pop(publisher, None)  # its clock may be set back
+            self._came[publisher] = stamp
             # the port is wired later, and again
             getattr(self, self.port.name).publish(from_ros(message))
             time.sleep(_HAND_OVER)
-
-        def take_new(message: Any, info: Mapping[str, Any]) -> None:  # noqa: ANN401, a message
-            publisher = bytes(info["publisher_gid"]["data"]).hex()
-            stamp = info["source_timestamp"]
-            if stamp > self._before.get(publisher, 0):
-                self._came[publisher] = max(self._came.get(publisher, 0), stamp)
-                take(message)
 
         def offered_less(event: Any) -> None:  # noqa: ANN401, an event
             policy = event.last_policy_kind.name.lower().rpartition("_")[2]
@@ -121,7 +124,7 @@ class FromTopics(ToTopics):
         subscription = self.node.create_subscription(
             interface(entry.type),
             entry.ros2,
-            take_new if entry.keeps_last else take,
+            take,
             entry.qos(**less),
             event_callbacks=SubscriptionEventCallbacks(incompatible_qos=offered_less),
         )
