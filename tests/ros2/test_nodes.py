@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -173,3 +174,76 @@ def test_nodes_work_on_two_computers_and_move(file: Path) -> None:
     assert (cold.committed, cold.cold) == (True, True)
     whole = ["configure", "activate", "deactivate", "cleanup"]
     assert did(file) == [whole, whole]
+
+
+HEARING = """
+import json, os
+from rclpy.node import Node
+from std_msgs.msg import Int32
+
+class Talker(Node):
+    def __init__(self):
+        super().__init__("talker")
+        self.count = 0
+        self.counts = self.create_publisher(Int32, "/count", 100)
+        self.create_timer(0.005, self.tick)
+
+    def tick(self):
+        self.count += 1
+        self.counts.publish(Int32(data=self.count))
+
+class Ear(Node):
+    def __init__(self):
+        super().__init__("ear")
+        self.declare_parameter("folder", "")
+        self.path = self.get_parameter("folder").value + "/took"
+        self.took = []
+        self.create_subscription(Int32, "/count", self.take, 100)
+
+    def take(self, message):
+        self.took.append(message.data)
+        if len(self.took) % 100 == 0:
+            with open(self.path + ".new", "w") as file:
+                json.dump(self.took, file)
+            os.replace(self.path + ".new", self.path)
+
+    def snapshot(self):
+        return {"took": self.took}
+
+    def restore(self, state):
+        self.took = state["took"]
+"""
+HEARING_FILE = """
+robot: {name}
+computers:
+  left: {{cpu: 0.5, memory: 1 GiB}}
+  right: {{cpu: 0.5, memory: 1 GiB}}
+architectures:
+  hear:
+    function: hear
+    components:
+      talker: {{ros2: {{node: "hearing_of_test:Talker"}}, only: [left]}}
+      ear: {{ros2: {{node: "hearing_of_test:Ear", params: {{folder: "{folder}"}}}}}}
+tasks:
+  work: {{actions: [{{name: work, functions: [hear]}}]}}
+"""
+
+
+def test_a_node_that_moves_takes_each_message_once(tmp_path: Path) -> None:
+    file = written(tmp_path, "hearing", "hearing_of_test", HEARING, HEARING_FILE)
+
+    def took() -> list[int]:
+        path = tmp_path / "took"
+        return list(json.loads(path.read_text())) if path.exists() else []
+
+    def heard_more_than(number: int) -> bool:
+        return len(took()) > number
+
+    with poise.up(poise.load(file)) as running:
+        for numbers_before in (100, 300, 500, 700):
+            wait_long(partial(heard_more_than, numbers_before))
+            here = running.status().placement["ear"]
+            running.move("ear", "left" if here == "right" else "right", force=True)
+        wait_long(partial(heard_more_than, 900))
+    numbers = took()
+    assert numbers == [*range(numbers[0], numbers[0] + len(numbers))]

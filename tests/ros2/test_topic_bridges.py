@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from poise.ros2.arrivals import Arrivals
 from poise.ros2.bridge_node import BridgeLine
 from poise.ros2.topic_bridges import FromTopics
 
@@ -17,7 +18,7 @@ class Taking:
     def __init__(self) -> None:
         self.took: list[str] = []
         self.bridge: Any = object.__new__(FromTopics)
-        self.bridge._before, self.bridge._came = {}, {}
+        self.bridge._arrivals = Arrivals()
         port = SimpleNamespace(publish=self.took.append)
         self.bridge.__dict__ |= {"port": SimpleNamespace(name="said"), "said": port}
         self.bridge.node = SimpleNamespace(create_subscription=self._created)

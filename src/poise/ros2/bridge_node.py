@@ -74,7 +74,7 @@ class BridgeNode(Component):
     def activate(self) -> None:
         """Begin to hear ROS 2."""
         if self._context.takes_over():
-            ros_context.drop_what_came(self.node)
+            ros_context.drop_requests(self.node)
         self.listen()
 
     def listen(self) -> None:

@@ -10,9 +10,12 @@ import inspect
 from collections.abc import Callable, Mapping
 from typing import Any, get_type_hints
 
+import msgspec
+
 from poise.errors import RobotError, UsageError, did_you_mean, listed
 from poise.model.ros2_node import START, as_arguments, flat
 from poise.ros2 import ros_context
+from poise.ros2.arrivals import Arrivals
 from poise.ros2.executor_source import ExecutorSource
 from poise.runtime.component.component import Component
 from poise.runtime.component.implementation import find_function
@@ -22,6 +25,7 @@ class RosNode(Component):
     """Runs the node that its parameters name, and no other parameter is its own."""
 
     _start_parameters = frozenset({START})
+    _hands_over = False
     make: Callable[[], Any]
 
     @classmethod
@@ -34,7 +38,7 @@ class RosNode(Component):
         code = make if inspect.isclass(make) else get_type_hints(make).get("return")
         own: dict[str, Any] = {"make": staticmethod(make)}
         if hasattr(code, "snapshot") and hasattr(code, "restore"):
-            own |= {"snapshot": _snapshot, "restore": _restore_of(code)}
+            own |= _handing_over(code)
         return type(cls.__name__, (cls,), own)
 
     def configure(self) -> None:
@@ -48,12 +52,17 @@ class RosNode(Component):
         self._transit("configure")
         for name, _ in flat(values):
             self._check_declared(name)
+        self._arrivals = Arrivals()
+        if self._hands_over:
+            self._arrivals.watch(self.node)
         self._source = ExecutorSource(self.node, self._context.give_up)
 
     def activate(self) -> None:
         """Begin to run its callbacks; what its predecessor had is not taken again."""
         if self._context.takes_over():
-            ros_context.drop_what_came(self.node)
+            ros_context.drop_requests(self.node)
+            if not self._hands_over:
+                ros_context.drop_messages(self.node)
         self._transit("activate")
         self._context.listen(self._source)
 
@@ -126,17 +135,21 @@ def _made(make: Callable[[], Any], reference: str) -> Any:  # noqa: ANN401, a no
     return node
 
 
-def _snapshot(self: RosNode) -> Any:  # noqa: ANN401, what the node returns
-    return self.node.snapshot()
-
-
-def _restore_of(code: Any) -> Callable[[RosNode, Any], None]:  # noqa: ANN401, a class
-    """Return a method that restores a node, and says the type of its state."""
-
-    def restore(self: RosNode, state: Any) -> None:  # noqa: ANN401, what it is
-        self.node.restore(state)
-
+def _handing_over(code: Any) -> dict[str, Any]:  # noqa: ANN401, a class
+    """Return methods that hand a node's state over, and say its type."""
     hints = get_type_hints(code.restore)
     hints.pop("return", None)
-    restore.__annotations__["state"] = next(iter(hints.values()), Any)
-    return restore
+    kind = next(iter(hints.values()), Any)
+    fields = [("stamps", dict[str, int]), ("state", kind | None)]
+    state_of = msgspec.defstruct("NodeState", fields)
+
+    def snapshot(self: RosNode) -> Any:  # noqa: ANN401, a `NodeState`
+        return state_of(dict(self._arrivals.stamps), self.node.snapshot())
+
+    def restore(self: RosNode, state: Any) -> None:  # noqa: ANN401, a `NodeState`
+        self._arrivals.go_on_from(state.stamps)
+        if state.state is not None:
+            self.node.restore(state.state)
+
+    restore.__annotations__["state"] = state_of
+    return {"_hands_over": True, "snapshot": snapshot, "restore": restore}

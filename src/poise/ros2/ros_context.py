@@ -96,13 +96,17 @@ def node_of(name: str) -> Any:  # noqa: ANN401, a node
     )
 
 
-def drop_what_came(node: Any) -> None:  # noqa: ANN401, a node
-    """Drop what a node's predecessor took, too, while this one was made ready."""
+def drop_messages(node: Any) -> None:  # noqa: ANN401, a node
+    """Drop messages that a node's predecessor took, while this one was made ready."""
     for subscription in node.subscriptions:
         if subscription.qos_profile.durability.name != "TRANSIENT_LOCAL":
             with subscription.handle:
                 while subscription.handle.take_message(subscription.msg_type, True):
                     pass
+
+
+def drop_requests(node: Any) -> None:  # noqa: ANN401, a node
+    """Drop requests that a node's predecessor took, while this one was made ready."""
     for service in node.services:
         with service.handle:
             kind = service.srv_type.Request

@@ -11,6 +11,7 @@ from msgspec import Struct
 
 from poise.clock import ComponentClock
 from poise.errors import RobotError
+from poise.ros2.arrivals import Arrivals
 from poise.ros2.bridge_node import BridgeLine, BridgeNode, annotated
 from poise.ros2.conversion import Conversion, Conversions, Convert
 from poise.ros2.interfaces import interface
@@ -51,10 +52,7 @@ class ToTopics(BridgeNode):
 
 
 class Came(Struct, frozen=True):
-    """Publisher -> when the last message taken from it was published [ns since 1970].
-
-    Each stamps by the clock of its own computer.
-    """
+    """The stamps of its `Arrivals`."""
 
     stamps: Mapping[str, int]
 
@@ -64,17 +62,16 @@ class FromTopics(ToTopics):
 
     def configure(self) -> None:
         """Make a node of its own."""
-        self._before: dict[str, int] = {}
-        self._came: dict[str, int] = {}
+        self._arrivals = Arrivals()
         super().configure()
 
     def snapshot(self) -> Came:
         """Return until when it took messages: its successor gets some of them, too."""
-        return Came(dict(self._came))
+        return Came(dict(self._arrivals.stamps))
 
     def restore(self, state: Came) -> None:
         """Take nothing that the bridge before has taken."""
-        self._before, self._came = dict(state.stamps), dict(state.stamps)
+        self._arrivals.go_on_from(state.stamps)
 
     def open(self) -> None:
         """Make the subscriptions."""
@@ -96,12 +93,8 @@ class FromTopics(ToTopics):
         from rclpy.event_handler import SubscriptionEventCallbacks  # noqa: PLC0415, only where a node runs
 
         def take(message: Any, info: Mapping[str, Any]) -> None:  # noqa: ANN401, a message
-            publisher = bytes(info["publisher_gid"]["data"]).hex()
-            stamp = info["source_timestamp"]
-            if stamp <= self._before.get(publisher, -1):
+            if not self._arrivals.is_new(info):
                 return
-            self._before.pop(publisher, None)  # its clock may be set back
-            self._came[publisher] = stamp
             # the port is wired later, and again
             getattr(self, self.port.name).publish(from_ros(message))
             time.sleep(_HAND_OVER)
