@@ -80,17 +80,17 @@ FIRST_FRAMES = """
 import threading, time
 from poise.wire import frame
 from poise.wire.codec import codec
-from poise.wire.frame import Kind
+from poise.wire.frame import FrameKind
 
 class Slow:
     def __iter__(self):
         time.sleep(0.2)
-        return iter(Kind)
+        return iter(FrameKind)
 
-frame.Kind = Slow()
+frame.FrameKind = Slow()
 text = codec(str)
 threads = [
-    threading.Thread(target=frame.segments, args=(text, "first", Kind.HELLO))
+    threading.Thread(target=frame.segments, args=(text, "first", FrameKind.HELLO))
     for _ in range(4)
 ]
 for thread in threads:

@@ -15,7 +15,7 @@ from poise.runtime.connectors.channel_route import ChannelRoute
 from poise.runtime.connectors.interface import message_tag, methods
 from poise.wire.codec import codec
 from poise.wire.connections.channel import Channel
-from poise.wire.frame import FAILURE, LARGEST, Kind, Pieces, segments
+from poise.wire.frame import FAILURE, LARGEST, FrameKind, Pieces, segments
 from tests.waiting import LIMIT, wait_until
 
 from .conftest import Pair, every_kind
@@ -101,7 +101,7 @@ def refusals(pair: Pair, connector: str) -> int:
     return end.errors
 
 
-def frame(kind: Kind, tag: int, value: Any) -> Pieces:
+def frame(kind: FrameKind, tag: int, value: Any) -> Pieces:
     return segments(codec(Any), value, kind, tag=tag, chain=1)
 
 
@@ -112,11 +112,13 @@ def changed(pieces: Pieces, at: int, form: str, value: int) -> Pieces:
     return [bytes(head), *pieces[1:]]
 
 
-GOOD = frame(Kind.CALL, DOUBLE, (1,))
+GOOD = frame(FrameKind.CALL, DOUBLE, (1,))
 BAD_CALLS = [
-    pytest.param(frame(Kind.CALL, DOUBLE, ("one",)), "Expected `int`", id="type"),
-    pytest.param(frame(Kind.CALL, DOUBLE ^ 1, (1,)), "different versions", id="tag"),
-    pytest.param(frame(Kind.CALL, DOUBLE, (1, 2)), "length", id="one too many"),
+    pytest.param(frame(FrameKind.CALL, DOUBLE, ("one",)), "Expected `int`", id="type"),
+    pytest.param(
+        frame(FrameKind.CALL, DOUBLE ^ 1, (1,)), "different versions", id="tag"
+    ),
+    pytest.param(frame(FrameKind.CALL, DOUBLE, (1, 2)), "length", id="one too many"),
     pytest.param(changed(GOOD, 0, "<B", 7), "protocol version 7", id="newer version"),
     pytest.param(changed(GOOD, 1, "<B", 99), "unknown kind", id="kind"),
     pytest.param(changed(GOOD, 4, "<I", 99), "cut short", id="truncated"),
@@ -133,7 +135,7 @@ def test_a_call_that_cannot_be_read_is_refused(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     answer = pipe_of(pair, CALL).request(pieces, LIMIT)
-    assert answer.kind is Kind.ERROR
+    assert answer.kind is FrameKind.ERROR
     name, text, traceback = answer.value(FAILURE)
     assert (name, traceback) == ("WireError", "")
     assert why in text
@@ -144,10 +146,10 @@ def test_a_call_that_cannot_be_read_is_refused(
 
 
 POSE = message_tag(Pose)
-GOOD_MESSAGE = frame(Kind.MESSAGE, POSE, {"x": 1.0})
+GOOD_MESSAGE = frame(FrameKind.MESSAGE, POSE, {"x": 1.0})
 BAD_MESSAGES = [
-    pytest.param(frame(Kind.MESSAGE, POSE, {"x": "here"}), "`float`", id="type"),
-    pytest.param(frame(Kind.MESSAGE, POSE ^ 2, {"x": 1.0}), "versions", id="tag"),
+    pytest.param(frame(FrameKind.MESSAGE, POSE, {"x": "here"}), "`float`", id="type"),
+    pytest.param(frame(FrameKind.MESSAGE, POSE ^ 2, {"x": 1.0}), "versions", id="tag"),
     pytest.param(changed(GOOD_MESSAGE, 0, "<B", 7), "version 7", id="newer version"),
     pytest.param(changed(GOOD_MESSAGE, 4, "<I", 99), "cut short", id="truncated"),
 ]

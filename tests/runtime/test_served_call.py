@@ -20,7 +20,7 @@ from poise.runtime.execution.exclusion import (
     current_chain,
     new_chain,
 )
-from poise.wire.frame import Frame, Kind, Pieces
+from poise.wire.frame import Frame, FrameKind, Pieces
 from tests.waiting import wait_until
 
 LONG = 20.0
@@ -40,7 +40,9 @@ def open_exclusion() -> Exclusion:
 
 
 def call_frame(chain: int) -> Frame:
-    return Frame(Kind.CALL, 0, 0, chain, b"body", memoryview(b"buffers"), 0, 0.0, 0.0)
+    return Frame(
+        FrameKind.CALL, 0, 0, chain, b"body", memoryview(b"buffers"), 0, 0.0, 0.0
+    )
 
 
 def come_in(

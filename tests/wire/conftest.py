@@ -20,7 +20,7 @@ from poise.wire.connections.channel import Channel
 from poise.wire.connections.connection_server import ConnectionServer
 from poise.wire.connections.gateway import Gateway
 from poise.wire.connections.opening import CALLS, own_keys
-from poise.wire.frame import Frame, Kind, Pieces
+from poise.wire.frame import Frame, FrameKind, Pieces
 from tests.waiting import LIMIT
 
 TEXT = codec(str)
@@ -29,11 +29,11 @@ SHORT = 0.02
 
 
 def call(text: str) -> Pieces:
-    return frame.segments(TEXT, text, Kind.CALL)
+    return frame.segments(TEXT, text, FrameKind.CALL)
 
 
 def message(text: str) -> Pieces:
-    return frame.segments(TEXT, text, Kind.MESSAGE)
+    return frame.segments(TEXT, text, FrameKind.MESSAGE)
 
 
 class Receiver:
@@ -45,8 +45,8 @@ class Receiver:
 
     def __call__(self, received: Frame) -> Pieces | None:
         text = received.value(TEXT)
-        if received.kind is Kind.CALL:
-            return frame.segments(TEXT, text[::-1], Kind.RESULT)
+        if received.kind is FrameKind.CALL:
+            return frame.segments(TEXT, text[::-1], FrameKind.RESULT)
         with self.came:
             self.messages.append(text)
             self.came.notify_all()

@@ -25,18 +25,18 @@ from poise.wire import frame
 from poise.wire.codec import codec
 from poise.wire.connections.connection import connection
 from poise.wire.connections.gateway import Gateway
-from poise.wire.frame import Kind
+from poise.wire.frame import FrameKind
 from poise.wire.connections.connection_server import ConnectionServer
 
 TEXT = codec(str)
 
 def handle(received):
     text = received.value(TEXT)
-    if received.kind is Kind.CALL:
-        return frame.segments(TEXT, text[::-1], Kind.RESULT)
+    if received.kind is FrameKind.CALL:
+        return frame.segments(TEXT, text[::-1], FrameKind.RESULT)
     print(text, flush=True)
     if text == "later":
-        pieces = frame.segments(TEXT, text, Kind.CREDIT)
+        pieces = frame.segments(TEXT, text, FrameKind.CREDIT)
         threading.Timer(1.5, connection().send_back, [pieces]).start()
 
 folder = pathlib.Path(sys.argv[1])

@@ -12,26 +12,28 @@ from hypothesis import strategies as st
 
 from poise.wire import frame
 from poise.wire.codec import ALIGNMENT, WireError, codec
-from poise.wire.frame import Kind
+from poise.wire.frame import FrameKind
 
 TEXT = codec(str)
 LIMIT = 20.0
 U16, U64 = 2**16 - 1, 2**64 - 1
 
 
-def packed(value: object, type_: Any, kind: Kind = Kind.CALL, **head: int) -> bytes:
+def packed(
+    value: object, type_: Any, kind: FrameKind = FrameKind.CALL, **head: int
+) -> bytes:
     return b"".join(frame.segments(codec(type_), value, kind, **head))
 
 
 @given(
     value=st.text(),
-    kind=st.sampled_from(Kind),
+    kind=st.sampled_from(FrameKind),
     tag=st.integers(0, U16),
     number=st.integers(0, U64),
     chain=st.integers(0, U64),
 )
 def test_what_is_packed_is_parsed(
-    value: str, kind: Kind, tag: int, number: int, chain: int
+    value: str, kind: FrameKind, tag: int, number: int, chain: int
 ) -> None:
     data = packed(value, str, kind, tag=tag, number=number, chain=chain)
     got = frame.parse(data)

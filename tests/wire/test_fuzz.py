@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from poise import Message
 from poise.wire import _channel, frame
 from poise.wire.codec import MALFORMED, WireError, codec
-from poise.wire.frame import Kind
+from poise.wire.frame import FrameKind
 from poise.wire.records.heartbeat_records import Heartbeat
 from poise.wire.records.request_records import Answer, ManagerRequest
 from poise.wire.records.status_records import AgentStatus, FromContainer, ToContainer
@@ -63,7 +63,7 @@ def test_any_bytes_are_read_or_refused(type_: Any, data: bytes) -> None:
 def test_frames_that_were_changed_or_cut_are_read_or_refused(
     type_: Any, places: list[tuple[int, int]], length: int
 ) -> None:
-    whole = b"".join(map(bytes, frame.segments(codec(Scan), SCAN, Kind.MESSAGE)))
+    whole = b"".join(map(bytes, frame.segments(codec(Scan), SCAN, FrameKind.MESSAGE)))
     read(changed(whole, places), type_)
     read(whole[:length], type_)
 

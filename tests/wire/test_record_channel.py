@@ -15,7 +15,7 @@ from msgspec import Struct
 from poise.errors import Timeout, Unavailable
 from poise.wire import frame
 from poise.wire.codec import WireError, codec
-from poise.wire.frame import LARGEST, Kind
+from poise.wire.frame import LARGEST, FrameKind
 
 pytestmark = pytest.mark.slow
 
@@ -76,7 +76,7 @@ def test_a_record_out_of_range_is_refused_unread(pair: Pair) -> None:
 
 
 def test_a_frame_that_is_no_record_is_refused(pair: Pair) -> None:
-    (head, body) = frame.segments(codec(Word), Word("a"), Kind.MESSAGE)
+    (head, body) = frame.segments(codec(Word), Word("a"), FrameKind.MESSAGE)
     pair[0].sendall(struct.pack("<II", len(head) + len(body), 0) + head + body)
     with pytest.raises(WireError, match="MESSAGE, not a record"):
         frame.receive_record(pair[1], Word)

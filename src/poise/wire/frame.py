@@ -59,7 +59,7 @@ _MOST_WAITING = 1 << 26
 """No more is added to what waits for a receiver once it is over this [bytes]."""
 
 
-class Kind(IntEnum):
+class FrameKind(IntEnum):
     """The kinds of frames."""
 
     MESSAGE = 1
@@ -94,7 +94,7 @@ FAILURE: Codec[tuple[str, str, str]] = Codec(tuple[str, str, str])
 class Frame(Struct, frozen=True):
     """A received frame; nothing else writes to its body and its buffers."""
 
-    kind: Kind
+    kind: FrameKind
     tag: int
     number: int
     chain: int
@@ -116,7 +116,7 @@ def failure(
 ) -> Pieces:
     """Return the answer to a call that failed; a callee's error has a traceback."""
     body = encodable(type_name), encodable(message), encodable(traceback)
-    return segments(FAILURE, body, Kind.ERROR, number=number)
+    return segments(FAILURE, body, FrameKind.ERROR, number=number)
 
 
 def size_of(pieces: Pieces) -> int:
@@ -280,10 +280,10 @@ def _channel_of(connection: socket.socket) -> _channel.Channel:
 
 
 def _pieces(record: Struct) -> list[Bytes]:
-    return segments(codec(type(record)), record, Kind.RECORD)
+    return segments(codec(type(record)), record, FrameKind.RECORD)
 
 
 def _record(received: Frame, type_: Any) -> Any:  # noqa: ANN401, as `Codec`
-    if received.kind is not Kind.RECORD:
+    if received.kind is not FrameKind.RECORD:
         raise Unreadable(f"a frame of the kind {received.kind.name}, not a record")
     return received.value(codec(type_))

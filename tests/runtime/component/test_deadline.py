@@ -23,7 +23,7 @@ from poise.wire import frame
 from poise.wire.address import Address
 from poise.wire.connections.connection import Connection
 from poise.wire.connections.opening import CALLS, Opening
-from poise.wire.frame import Kind
+from poise.wire.frame import FrameKind
 from poise.wire.records.deployment_records import ConnectorSpec
 from tests.runtime.conftest import Pair, every_kind
 from tests.waiting import LIMIT, wait_until
@@ -192,7 +192,7 @@ def begin(pair: Pair, spec: ConnectorSpec, method: str) -> Connection:
     assert opening.go_on(CALLS, time.monotonic() + LIMIT)
     (asked,) = (m for m in methods(Work).values() if m.name == method)
     pieces = frame.segments(
-        asked.arguments, (), Kind.CALL, tag=asked.tag, chain=new_chain()
+        asked.arguments, (), FrameKind.CALL, tag=asked.tag, chain=new_chain()
     )
     _calls.join_chain(0)
     opening.connection.send(pieces, time.monotonic() + LIMIT)

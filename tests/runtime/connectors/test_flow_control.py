@@ -11,7 +11,7 @@ from poise.runtime.execution.counters import Counts
 from poise.runtime.execution.mailbox import Mailbox
 from poise.wire import frame
 from poise.wire.codec import Codec, WireError
-from poise.wire.frame import Frame, Kind, Pieces
+from poise.wire.frame import Frame, FrameKind, Pieces
 
 NOTHING: Codec[None] = Codec(type(None))
 
@@ -70,7 +70,7 @@ class Joined:
         number, route = self.credit.sent, self.credit.route
         if arrives:
             pieces = frame.segments(
-                NOTHING, None, Kind.MESSAGE, number=number, chain=route
+                NOTHING, None, FrameKind.MESSAGE, number=number, chain=route
             )
             self.issuer.came(frame.parse(b"".join(pieces)))
             self.feed.put((0, number))
@@ -220,7 +220,9 @@ def test_credit_for_another_route_changes_nothing(joined: Joined) -> None:
 def test_a_number_of_messages_that_nobody_sends_is_refused(joined: Joined) -> None:
     joined.push()
     number, route = (1 << 64) - 1, joined.credit.route
-    pieces = frame.segments(NOTHING, None, Kind.MESSAGE, number=number, chain=route)
+    pieces = frame.segments(
+        NOTHING, None, FrameKind.MESSAGE, number=number, chain=route
+    )
     received = frame.parse(b"".join(pieces))
     with pytest.raises(WireError, match="are said to have gone"):
         joined.issuer.came(received)
@@ -230,5 +232,5 @@ def test_a_number_of_messages_that_nobody_sends_is_refused(joined: Joined) -> No
 
 
 def credit(total: int, route: int) -> Frame:
-    pieces = frame.segments(NOTHING, None, Kind.CREDIT, number=total, chain=route)
+    pieces = frame.segments(NOTHING, None, FrameKind.CREDIT, number=total, chain=route)
     return frame.parse(b"".join(pieces))

@@ -12,7 +12,7 @@ from poise import Component, Provided, Required
 from poise.clock import Elapsed
 from poise.runtime.connectors.channel_route import ChannelRoute
 from poise.runtime.connectors.interface import methods
-from poise.wire.frame import FAILURE, Frame, Kind, Pieces, segments
+from poise.wire.frame import FAILURE, Frame, FrameKind, Pieces, segments
 from tests.runtime.conftest import Pair
 from tests.waiting import LIMIT
 
@@ -48,7 +48,11 @@ class Pilot(Component):
 def call(speed: float, sent: float, limit: float) -> Pieces:
     """Return a call that was sent at `sent` [s] and has a limit [s]."""
     head, *rest = segments(
-        DRIVE.arguments, (speed,), Kind.CALL, tag=DRIVE.tag, number=int(1e9 * limit)
+        DRIVE.arguments,
+        (speed,),
+        FrameKind.CALL,
+        tag=DRIVE.tag,
+        number=int(1e9 * limit),
     )
     changed = bytearray(head)
     struct.pack_into("<Q", changed, _SENT, int(1e9 * sent))
@@ -80,7 +84,7 @@ def test_a_call_whose_limit_passed_on_the_wire_is_not_run(pair: Pair) -> None:
     pair.clocks["source"] = Elapsed(AHEAD, 0.001)
     wheels = join(pair)
     late = call(1.0, now(pair) - 0.4, 0.2)  # "go" was under way for 0.4 s
-    assert ask(pair, call(0.0, now(pair), LIMIT)).kind is Kind.RESULT  # "stop"
+    assert ask(pair, call(0.0, now(pair), LIMIT)).kind is FrameKind.RESULT  # "stop"
     answer = ask(pair, late)
     kind, why, _ = answer.value(FAILURE)
     assert kind == "Timeout"
@@ -93,8 +97,8 @@ def test_what_the_clocks_leave_open_counts_as_time_on_the_wire(pair: Pair) -> No
     # no answer can be back in time: the quickest way back takes as long
     pair.clocks["source"] = Elapsed(AHEAD, 0.3)
     wheels = join(pair)
-    assert ask(pair, call(1.0, now(pair), 0.2)).kind is Kind.ERROR
-    assert ask(pair, call(2.0, now(pair), LIMIT)).kind is Kind.RESULT
+    assert ask(pair, call(1.0, now(pair), 0.2)).kind is FrameKind.ERROR
+    assert ask(pair, call(2.0, now(pair), LIMIT)).kind is FrameKind.RESULT
     assert wheels.speeds == [2.0]
 
 
@@ -102,7 +106,7 @@ def test_what_the_clocks_leave_open_counts_as_time_on_the_wire(pair: Pair) -> No
 def test_a_call_over_an_unknown_clock_counts_from_its_arrival(pair: Pair) -> None:
     wheels = join(pair)
     sent = max(1.0, now(pair) - 2 * AHEAD)
-    assert ask(pair, call(1.0, sent, LIMIT)).kind is Kind.RESULT
+    assert ask(pair, call(1.0, sent, LIMIT)).kind is FrameKind.RESULT
     assert wheels.speeds == [1.0]
 
 
@@ -110,4 +114,4 @@ def test_a_call_over_an_unknown_clock_counts_from_its_arrival(pair: Pair) -> Non
 def test_a_caller_of_another_time_gets_an_answer(pair: Pair) -> None:
     join(pair)
     future = call(1.0, now(pair) + AHEAD, LIMIT)
-    assert ask(pair, future).kind is Kind.RESULT
+    assert ask(pair, future).kind is FrameKind.RESULT

@@ -14,7 +14,7 @@ from poise.runtime.execution.counters import Counts
 from poise.runtime.execution.data_age import RemoteClock
 from poise.wire import frame
 from poise.wire.codec import codec
-from poise.wire.frame import Kind
+from poise.wire.frame import FrameKind
 from poise.wire.records.deployment_records import ConnectorSpec
 
 
@@ -58,7 +58,7 @@ class Receiver:
             remote_clock=RemoteClock(),
         ).handler()
         tag = message_tag(port.type)
-        pieces = frame.segments(codec(str), text, Kind.MESSAGE, tag=tag)
+        pieces = frame.segments(codec(str), text, FrameKind.MESSAGE, tag=tag)
         handle(frame.parse(b"".join(bytes(each) for each in pieces)))
 
 

@@ -24,7 +24,7 @@ from poise.runtime.hosting.command_line import freeze_fenced
 from poise.runtime.hosting.runner import Runner
 from poise.runtime.migration.state_transfer import REQUEST, Request, StateSender
 from poise.wire import frame
-from poise.wire.frame import Kind
+from poise.wire.frame import FrameKind
 from poise.wire.records.deployment_records import ComponentSpec
 from tests.runtime.conftest import Pair
 from tests.runtime.hosting.test_command_line import reach, runner_of
@@ -189,14 +189,14 @@ def test_a_source_without_a_lease_sends_no_state(
     runner.aim("active")
     assert runner.life_cycle.wait_state({"active"}, LIMIT) == "active"
     sender = StateSender(runner, 1, Mock())
-    asked = b"".join(frame.segments(REQUEST, (Request.STATE, 1.0), Kind.CALL))
+    asked = b"".join(frame.segments(REQUEST, (Request.STATE, 1.0), FrameKind.CALL))
 
-    def answer() -> Kind:
+    def answer() -> FrameKind:
         return frame.parse(b"".join(sender._serve(frame.parse(asked)))).kind
 
-    assert answer() is Kind.RESULT
+    assert answer() is FrameKind.RESULT
     lease.at = -inf
-    assert answer() is Kind.ERROR
+    assert answer() is FrameKind.ERROR
 
 
 class Doubles(Protocol):

@@ -20,7 +20,7 @@ from poise.runtime._calls import ComponentCounters, PageSampler, ServedCall
 from poise.runtime.connectors.route import direct_call, raise_callee_error
 from poise.runtime.execution.counters import MOST, Counts, StatsPage, new_memory
 from poise.runtime.execution.exclusion import Exclusion
-from poise.wire.frame import Frame, Kind
+from poise.wire.frame import Frame, FrameKind
 from tests.waiting import wait_until
 
 if TYPE_CHECKING:
@@ -381,7 +381,7 @@ def test_a_call_from_another_container_counts_while_it_runs(book: Book) -> None:
         translate=raise_callee_error,
         is_over=lambda: False,
     )
-    frame = Frame(Kind.CALL, 0, 0, 7, b"body", memoryview(b"buffers"), 0, 0.0, 0.0)
+    frame = Frame(FrameKind.CALL, 0, 0, 7, b"body", memoryview(b"buffers"), 0, 0.0, 0.0)
     thread = threading.Thread(target=served, args=(frame,), daemon=True)
     thread.start()
     wait_until(lambda: book.cpu("callee") >= 0.1)

@@ -17,7 +17,7 @@ from poise.runtime.connectors.interface import methods
 from poise.runtime.execution.exclusion import new_chain
 from poise.wire.address import Address
 from poise.wire.connections.channel import Channel
-from poise.wire.frame import FAILURE, Frame, Kind, segments
+from poise.wire.frame import FAILURE, Frame, FrameKind, segments
 from poise.wire.records.status_records import ConnectorStatus
 from tests.runtime.conftest import Pair, every_kind
 from tests.waiting import LIMIT, wait_until
@@ -517,7 +517,7 @@ def test_what_comes_back_late_does_not_enter_beside_its_caller(pair: Pair) -> No
     wait_until(lambda: len(chains) == 1)
     (chain,) = chains
     (method,) = methods(Back).values()
-    pieces = segments(method.arguments, (), Kind.CALL, tag=method.tag, chain=chain)
+    pieces = segments(method.arguments, (), FrameKind.CALL, tag=method.tag, chain=chain)
     channel = Channel(back.key, Address.parse(back.address), pair.folder)
     wait_until(channel.try_connect)
     answer = channel.request(pieces, LIMIT)

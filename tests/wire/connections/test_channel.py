@@ -28,7 +28,7 @@ from poise.wire.connections import connection, connection_server
 from poise.wire.connections.channel import Channel, Closed
 from poise.wire.connections.connection import Connection
 from poise.wire.connections.opening import CALLS, MESSAGES
-from poise.wire.frame import LARGEST, LENGTH, Frame, Kind, Pieces
+from poise.wire.frame import LARGEST, LENGTH, Frame, FrameKind, Pieces
 from tests.waiting import LIMIT, wait_until
 from tests.wire.conftest import (
     SHORT,
@@ -106,7 +106,7 @@ def test_a_call_may_come_back_while_it_waits(wire: Wire) -> None:
     def answer(received: Frame) -> Pieces | None:
         text = received.value(TEXT)
         inner = channel.request(call(text[1:]), LIMIT).value(TEXT) if text else ""
-        return frame.segments(TEXT, f"{text[:1]}({inner})", Kind.RESULT)
+        return frame.segments(TEXT, f"{text[:1]}({inner})", FrameKind.RESULT)
 
     wire.server().open("echo", answer)
     assert channel.request(call("abc"), LIMIT).value(TEXT) == "a(b(c(())))"
@@ -119,7 +119,7 @@ def test_it_tells_that_a_call_waits_for_its_answer(wire: Wire) -> None:
 
     def answer(received: Frame) -> Pieces | None:
         found.append(channel.is_calling())
-        return frame.segments(TEXT, received.value(TEXT), Kind.RESULT)
+        return frame.segments(TEXT, received.value(TEXT), FrameKind.RESULT)
 
     wire.server().open("echo", answer)
     assert not channel.is_calling()
@@ -450,7 +450,7 @@ def newcomer(wire: Wire) -> socket.socket:
         gateway = wire.address().gateway
         assert gateway is not None
         sock = socket.create_connection((gateway.host, gateway.port))
-        Connection(sock).send(frame.segments(TEXT, "there", Kind.HELLO))
+        Connection(sock).send(frame.segments(TEXT, "there", FrameKind.HELLO))
     sock.settimeout(LIMIT)
     return sock
 
@@ -467,10 +467,10 @@ def everything(sock: socket.socket) -> bytes:
 def test_it_tells_a_newcomer_of_another_version_why(wire: Wire) -> None:
     wire.server().open("echo", Receiver())
     with newcomer(wire) as sock:
-        hello = b"".join(frame.segments(TEXT, "echo", Kind.HELLO))
+        hello = b"".join(frame.segments(TEXT, "echo", FrameKind.HELLO))
         sock.sendall(LENGTH.pack(len(hello), 0) + b"\x07" + hello[1:])
         refusal = frame.parse(everything(sock)[LENGTH.size :])
-    assert refusal.kind is Kind.ERROR
+    assert refusal.kind is FrameKind.ERROR
     assert f"protocol version 7, but this is version {frame.VERSION}" in refusal.value(
         TEXT
     )
@@ -513,7 +513,7 @@ def test_a_frame_that_cannot_be_read_is_refused_and_the_connection_goes_on(
     channel = wire.channel()
     answer = channel.request([b"\x07nonsense"], LIMIT)
     (connection,) = channel._calls
-    assert answer.kind is Kind.ERROR
+    assert answer.kind is FrameKind.ERROR
     assert "cut short" in answer.value(frame.FAILURE)[1]
     assert channel.request(call("ab"), LIMIT).value(TEXT) == "ba"
     assert [*channel._calls] == [connection]
@@ -744,7 +744,7 @@ def test_the_first_call_after_a_short_cut_reaches_the_other_computer(
             peer = Connection(cut.accept()[0])
             hellos = [peer.receive().value(TEXT) for _ in range(2)]
             assert hellos == ["there", "echo"]
-            peer.send(frame.segments(TEXT, "echo", Kind.HELLO))
+            peer.send(frame.segments(TEXT, "echo", FrameKind.HELLO))
             peer.send(Receiver()(peer.receive()) or [])
             assert answer.result(LIMIT).value(TEXT) == "ba"
         peer.close()
@@ -774,12 +774,12 @@ def test_an_answer_brings_a_new_block_over_a_connection_that_was_opened(
     arrays = codec(np.ndarray)
 
     def answer(received: Frame) -> Pieces:
-        return frame.segments(arrays, received.value(arrays) + 1, Kind.RESULT)
+        return frame.segments(arrays, received.value(arrays) + 1, FrameKind.RESULT)
 
     wire.server().open("echo", answer)
     channel = wire.channel()
     for number in range(3):
-        asked = frame.segments(arrays, np.full(100_000, number), Kind.CALL)
+        asked = frame.segments(arrays, np.full(100_000, number), FrameKind.CALL)
         got = channel.request(asked, LIMIT).value(arrays)
         assert got.shape == (100_000,)
         assert (got == number + 1).all()

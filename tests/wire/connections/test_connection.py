@@ -30,7 +30,7 @@ from poise.wire import frame
 from poise.wire.codec import Unreadable, WireError, codec
 from poise.wire.connections.blocks import DATA, MOST_BYTES, MOST_LENT, Block, Blocks
 from poise.wire.connections.connection import Connection
-from poise.wire.frame import LARGEST, Kind
+from poise.wire.frame import LARGEST, FrameKind
 from tests.waiting import wait_until
 
 pytestmark = pytest.mark.slow
@@ -73,17 +73,19 @@ def far() -> Iterator[tuple[Connection, socket.socket]]:
 
 
 def echo(connection: Connection) -> None:
-    connection.send(frame.segments(ANY, connection.receive().value(ANY), Kind.RESULT))
+    connection.send(
+        frame.segments(ANY, connection.receive().value(ANY), FrameKind.RESULT)
+    )
 
 
 def ask(connection: Connection, value: object) -> Any:
     deadline = time.monotonic() + LONG
-    connection.send(frame.segments(ANY, value, Kind.CALL, chain=1), deadline)
+    connection.send(frame.segments(ANY, value, FrameKind.CALL, chain=1), deadline)
     return connection.receive(deadline).value(ANY)
 
 
 def call(value: object) -> Any:
-    return frame.segments(ANY, value, Kind.CALL)
+    return frame.segments(ANY, value, FrameKind.CALL)
 
 
 def image(number: int, size: int = 1 << 20) -> Any:
@@ -137,7 +139,7 @@ def test_a_source_whose_credit_nobody_takes_any_more_connects_again(
     failures: list[threading.ExceptHookArgs] = []
     monkeypatch.setattr(threading, "excepthook", failures.append)
     source.follow(fail)
-    assert target.send_back(frame.segments(codec(str), "credit", Kind.CREDIT))
+    assert target.send_back(frame.segments(codec(str), "credit", FrameKind.CREDIT))
     wait_until(lambda: source.is_over)
     wait_until(lambda: failures)
 
@@ -311,7 +313,7 @@ def test_over_tcp_arrays_come_inline(far: tuple[Connection, socket.socket]) -> N
     connection, sock = far
     other = Connection(sock)
     sent = [image(1, 3 << 20), image(2, 70_000)]
-    pieces = frame.segments(ANY, sent, Kind.CALL)
+    pieces = frame.segments(ANY, sent, FrameKind.CALL)
     sender = threading.Thread(target=other.send, args=(pieces,))
     sender.start()
     came = connection.receive().value(ANY)
@@ -412,7 +414,7 @@ def test_a_call_that_did_not_go_out_gives_its_block_back(known: Known) -> None:
 
 def test_a_frame_on_more_than_its_block_is_refused(known: Known) -> None:
     ours, theirs, block = known
-    head = frame.segments(ANY, None, Kind.CALL)
+    head = frame.segments(ANY, None, FrameKind.CALL)
     deadline = time.monotonic() + LONG
     ours._channel.send(head, deadline, LARGEST, block.number, block.capacity + 1)
     with pytest.raises(WireError, match="B announced in a block of"):
@@ -437,13 +439,13 @@ import numpy as np
 from poise.wire import frame
 from poise.wire.codec import codec
 from poise.wire.connections.connection import Connection
-from poise.wire.frame import Kind
+from poise.wire.frame import FrameKind
 
 connection = Connection(socket.socket(fileno=int(sys.argv[1])))
 array = np.empty(1 << 18, np.uint32)
 for number in range(10_000_000):
     array[:] = number
-    connection.send(frame.segments(codec(Any), array, Kind.MESSAGE, number=number))
+    connection.send(frame.segments(codec(Any), array, FrameKind.MESSAGE, number=number))
 """
 
 
@@ -478,7 +480,7 @@ def half(known: Known) -> Known:
     assert slot is not None
     block.lend(slot)
     block.memory[slot] = BEING_FILLED
-    head = frame.segments(ANY, image(1), Kind.CALL)[:2]
+    head = frame.segments(ANY, image(1), FrameKind.CALL)[:2]
     where = slot << 8 | block.number
     ours._channel.send(head, time.monotonic() + LONG, LARGEST, where, 1 << 20)
     return known

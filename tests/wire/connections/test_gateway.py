@@ -22,7 +22,7 @@ from poise.wire.connections.connection import Connection
 from poise.wire.connections.connection_server import ConnectionServer
 from poise.wire.connections.gateway import Gateway
 from poise.wire.connections.opening import MESSAGES
-from poise.wire.frame import LENGTH, VERSION, Kind
+from poise.wire.frame import LENGTH, VERSION, FrameKind
 from tests.waiting import LIMIT, wait_until
 from tests.wire.conftest import (
     TEXT,
@@ -55,7 +55,7 @@ def everything(sock: socket.socket) -> bytes:
     return data
 
 
-def said(version: bytes, kind: Kind) -> bytes:
+def said(version: bytes, kind: FrameKind) -> bytes:
     """Return a first frame of some version and kind."""
     text = b"".join(frame.segments(TEXT, "there", kind))
     return LENGTH.pack(len(text), 0) + version + text[1:]
@@ -68,8 +68,8 @@ def said(version: bytes, kind: Kind) -> bytes:
         pytest.param(b"GET / HTTP/1.1\r\n\r\n", "1024 B is the largest", id="another"),
         pytest.param(LENGTH.pack(1025, 0), "1025 B; 1024 B is the largest", id="large"),
         pytest.param(LENGTH.pack(8, 0) + bytes(8), "cut short", id="short"),
-        pytest.param(said(b"\x07", Kind.HELLO), "version 7", id="newer"),
-        pytest.param(said(bytes([VERSION]), Kind.MESSAGE), "MESSAGE", id="kind"),
+        pytest.param(said(b"\x07", FrameKind.HELLO), "version 7", id="newer"),
+        pytest.param(said(bytes([VERSION]), FrameKind.MESSAGE), "MESSAGE", id="kind"),
     ],
 )
 def test_nonsense_is_told_and_logged_and_harms_nobody(
@@ -79,7 +79,7 @@ def test_nonsense_is_told_and_logged_and_harms_nobody(
     with come(wire) as stranger:
         stranger.sendall(data)
         told = frame.parse(everything(stranger)[LENGTH.size :])
-    assert told.kind is Kind.ERROR
+    assert told.kind is FrameKind.ERROR
     assert why in told.value(TEXT)
     assert "a connection from 127.0.0.1 is refused" in caplog.text
     assert wire.channel().request(call("ab"), LIMIT).value(TEXT) == "ba"
@@ -88,13 +88,13 @@ def test_nonsense_is_told_and_logged_and_harms_nobody(
 @plain_remote
 def test_a_name_may_come_in_pieces(wire: Wire) -> None:
     wire.server().open("echo", Receiver())
-    name = b"".join(frame.segments(TEXT, "there", Kind.HELLO))
+    name = b"".join(frame.segments(TEXT, "there", FrameKind.HELLO))
     with come(wire) as arrival:
         for byte in LENGTH.pack(len(name), 0) + name:
             arrival.sendall(bytes([byte]))
         connection = Connection(arrival)
-        connection.send(frame.segments(TEXT, "echo", Kind.HELLO))
-        assert connection.receive().kind is Kind.HELLO
+        connection.send(frame.segments(TEXT, "echo", FrameKind.HELLO))
+        assert connection.receive().kind is FrameKind.HELLO
 
 
 @remote

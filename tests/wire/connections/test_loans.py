@@ -19,7 +19,7 @@ from poise.wire import frame
 from poise.wire.codec import WireError, codec
 from poise.wire.connections.blocks import MOST_BLOCKS, MOST_LENT, THRESHOLD, Blocks
 from poise.wire.connections.connection import Connection
-from poise.wire.frame import Kind
+from poise.wire.frame import FrameKind
 
 pytestmark = pytest.mark.slow
 
@@ -45,7 +45,7 @@ class Receiver:
                 received = self.connection.receive()
                 self.got.append(received.value(ANY))
                 del received
-                self.connection.send(frame.segments(ANY, None, Kind.RESULT))
+                self.connection.send(frame.segments(ANY, None, FrameKind.RESULT))
         except Unavailable:
             pass
         except WireError as error:
@@ -55,7 +55,7 @@ class Receiver:
     def send(self, value: object) -> Any:
         """Send a value, and return what came."""
         deadline = time.monotonic() + LONG
-        answer = self.sender.ask(frame.segments(ANY, value, Kind.CALL), deadline)
+        answer = self.sender.ask(frame.segments(ANY, value, FrameKind.CALL), deadline)
         assert answer is not None
         return self.got[-1]
 

@@ -16,7 +16,7 @@ from poise.wire import frame
 from poise.wire.connections.connection import Connection
 from poise.wire.connections.opening import NAME
 from poise.wire.credentials import CERTIFICATE, PRIVATE_KEY, Credentials
-from poise.wire.frame import LENGTH, Kind
+from poise.wire.frame import LENGTH, FrameKind
 from tests.waiting import LIMIT, wait_until
 from tests.wire.conftest import Receiver, Wire, call, encrypted
 
@@ -24,7 +24,7 @@ pytestmark = pytest.mark.slow
 
 
 def hello(name: str) -> bytes:
-    text = b"".join(map(bytes, frame.segments(NAME, name, Kind.HELLO)))
+    text = b"".join(map(bytes, frame.segments(NAME, name, FrameKind.HELLO)))
     return LENGTH.pack(len(text), 0) + text
 
 

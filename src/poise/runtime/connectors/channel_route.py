@@ -35,7 +35,7 @@ from poise.wire.codec import Codec, WireError, codec
 from poise.wire.connections import connection
 from poise.wire.connections.channel import Channel, Closed
 from poise.wire.connections.connection_server import Handler
-from poise.wire.frame import Frame, Kind, Pieces, segments, size_of
+from poise.wire.frame import Frame, FrameKind, Pieces, segments, size_of
 from poise.wire.records.deployment_records import ConnectorSpec
 
 log = logging.getLogger(__name__)
@@ -43,8 +43,13 @@ log = logging.getLogger(__name__)
 _NOTHING: Codec[None] = Codec(type(None))
 
 # looking a member up costs as much as a call
-_CALL, _RESULT, _MARK, _MOVED = Kind.CALL, Kind.RESULT, Kind.MARKER, Kind.MOVED
-_ERROR = Kind.ERROR
+_CALL, _RESULT, _MARK, _MOVED = (
+    FrameKind.CALL,
+    FrameKind.RESULT,
+    FrameKind.MARKER,
+    FrameKind.MOVED,
+)
+_ERROR = FrameKind.ERROR
 _LONGEST = 1e9
 """The longest limit that a frame holds [s]."""
 
@@ -94,9 +99,9 @@ class ChannelRoute:
         """Send a message or one-way call."""
         check_lease(self._lease, self._source)
         if method is None:
-            kind, tag, coder = Kind.MESSAGE, self._tag, self._codec
+            kind, tag, coder = FrameKind.MESSAGE, self._tag, self._codec
         else:
-            kind, tag, coder = Kind.ONEWAY, method.tag, method.arguments
+            kind, tag, coder = FrameKind.ONEWAY, method.tag, method.arguments
         if type(value) is Stamped:
             coder = with_stamps(coder, value.chains)
             value = value.stamps, value.value
@@ -219,7 +224,7 @@ class ReceivingEnd(Struct, frozen=True, kw_only=True):
             if received.kind is _CALL:
                 return serve(received)
             try:
-                if received.kind is Kind.CREDIT_REQUEST:
+                if received.kind is FrameKind.CREDIT_REQUEST:
                     issuer.requested(received, connection.connection())
                     return None
                 latency = received.age + clock.offset

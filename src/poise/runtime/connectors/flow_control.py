@@ -24,7 +24,7 @@ from poise.runtime.execution.counters import Counts
 from poise.runtime.execution.mailbox import Feed
 from poise.wire import frame
 from poise.wire.codec import Codec, WireError
-from poise.wire.frame import Frame, Kind, Pieces
+from poise.wire.frame import Frame, FrameKind, Pieces
 
 log = logging.getLogger(__name__)
 
@@ -63,7 +63,7 @@ class Credit:
         return frame.segments(
             _NOTHING,
             None,
-            Kind.CREDIT_REQUEST,
+            FrameKind.CREDIT_REQUEST,
             tag=_HEARD if self._total > _AT_FIRST else _UNHEARD,
             number=self.sent,
             chain=self.route,
@@ -71,7 +71,7 @@ class Credit:
 
     def note_credit(self, received: Frame) -> bool:
         """Take a frame with credit, unless it is late; return whether more may come."""
-        is_ours = received.kind is Kind.CREDIT and received.chain == self.route
+        is_ours = received.kind is FrameKind.CREDIT and received.chain == self.route
         if is_ours and received.number > self._total:
             self._total = received.number
             self.on_credit()
@@ -175,7 +175,7 @@ class CreditIssuer:
         pieces = frame.segments(
             HEARD,
             self._heard.get(self._connector),
-            Kind.CREDIT,
+            FrameKind.CREDIT,
             number=total,
             chain=self._route,
         )

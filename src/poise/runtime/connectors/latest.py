@@ -22,7 +22,7 @@ from poise.runtime.connectors.interface import message_tag
 from poise.runtime.execution.data_age import Stamped
 from poise.wire import frame
 from poise.wire.codec import Codec, codec
-from poise.wire.frame import Kind
+from poise.wire.frame import FrameKind
 
 Number = tuple[int, int]
 """The epoch of the publisher, and the time [ns since 1970], later than all before."""
@@ -87,7 +87,7 @@ class LatestMessage:
         if self.last is None:
             return b""
         coder, tag = numbered(codec(self._type)), numbered_tag(self._type)
-        return b"".join(frame.segments(coder, self.last, Kind.MESSAGE, tag=tag))
+        return b"".join(frame.segments(coder, self.last, FrameKind.MESSAGE, tag=tag))
 
     def restore(self, data: bytes) -> None:
         """Go on with the last message of the incarnation before, if its type fits."""

@@ -33,7 +33,7 @@ from poise.runtime.connectors.latest import (
 )
 from poise.wire.codec import MALFORMED, Packed, pack
 from poise.wire.connections.connection_server import Handler
-from poise.wire.frame import Frame, Kind, Pieces
+from poise.wire.frame import Frame, FrameKind, Pieces
 from poise.wire.recording_file import Input, McapFile
 from poise.wire.records.migration_records import StepsFailed
 from poise.wire.records.request_records import (
@@ -64,7 +64,7 @@ KEPT_FOR = 3.0
 MOST_VIEWERS = 16
 MOST_RECORDED = 1 << 28
 """Of one connector at most so much is recorded [bytes]; later entries are left out."""
-_RECORDED = {Kind.MESSAGE, Kind.CALL, Kind.ONEWAY}
+_RECORDED = {FrameKind.MESSAGE, FrameKind.CALL, FrameKind.ONEWAY}
 _RESULT_BODY = 1
 
 
@@ -361,7 +361,7 @@ class InputFile:
         def handle_and_record(received: Frame) -> Pieces | None:
             at = self._time()
             answer = handle(received)
-            if received.kind in _RECORDED and not _is(Kind.MOVED, answer):
+            if received.kind in _RECORDED and not _is(FrameKind.MOVED, answer):
                 self._add(at, received, answer)
             return answer
 
@@ -375,7 +375,7 @@ class InputFile:
         if self._size > MOST_RECORDED:
             self._end(f"the limit of {MOST_RECORDED} B is reached")
             return
-        tag = None if received.kind is Kind.MESSAGE else received.tag
+        tag = None if received.kind is FrameKind.MESSAGE else received.tag
         if tag is None and received.tag == self._numbered:
             try:
                 body = without_number(body)
@@ -401,10 +401,10 @@ class InputFile:
 
 def _result(answer: Pieces | None) -> bytes:
     """Return the encoded result of an answer; empty when it failed."""
-    if answer is None or not _is(Kind.RESULT, answer):
+    if answer is None or not _is(FrameKind.RESULT, answer):
         return b""
     return bytes(answer[_RESULT_BODY])
 
 
-def _is(kind: Kind, answer: Pieces | None) -> bool:
+def _is(kind: FrameKind, answer: Pieces | None) -> bool:
     return answer is not None and bytes(answer[0])[1] == kind

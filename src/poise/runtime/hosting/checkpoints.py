@@ -21,7 +21,7 @@ from poise.runtime.execution.container_lease import LeaseEnd, check_lease
 from poise.runtime.migration.state_check import check_fits, describe_type, type_taken_by
 from poise.wire import frame
 from poise.wire.codec import Codec, WireError, codec
-from poise.wire.frame import Kind
+from poise.wire.frame import FrameKind
 from poise.wire.records.request_records import (
     MOST_KEPT,
     age_of,
@@ -79,10 +79,10 @@ class Checkpoints:
             return
         checkpoint = _Checkpoint("", b"", last)
         if state is not None:
-            pieces = frame.segments(codec(type(state)), state, Kind.MESSAGE)
+            pieces = frame.segments(codec(type(state)), state, FrameKind.MESSAGE)
             described = describe_type(type(state))
             checkpoint = _Checkpoint(described, b"".join(pieces), last)
-        data = b"".join(frame.segments(_CHECKPOINT, checkpoint, Kind.RECORD))
+        data = b"".join(frame.segments(_CHECKPOINT, checkpoint, FrameKind.RECORD))
         if len(data) > MOST_KEPT:
             raise RunError(
                 f"its state of {len(data) / 2**20:.0f} MiB is too large for a "

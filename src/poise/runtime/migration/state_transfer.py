@@ -50,7 +50,7 @@ from poise.wire import frame
 from poise.wire.codec import Codec, WireError, codec
 from poise.wire.connections.channel import Channel
 from poise.wire.connections.connection_server import ConnectionServer
-from poise.wire.frame import Frame, Kind, Pieces
+from poise.wire.frame import Frame, FrameKind, Pieces
 
 SERVE_LIMIT = 1.0
 """A snapshot waits at most this long for the component's turn [s]."""
@@ -153,7 +153,7 @@ class StateSender:
                     transfer = self._taken = self._taken or self._all(request)
                 # a snapshot may take long
                 check_lease(self._runner.lease, self._runner.spec.name)
-                return frame.segments(TRANSFER, transfer, Kind.RESULT)
+                return frame.segments(TRANSFER, transfer, FrameKind.RESULT)
         # a user's snapshot may raise anything
         except (Exception, SystemExit) as error:  # noqa: BLE001
             return frame.failure(type(error).__qualname__, said(error))
@@ -215,14 +215,14 @@ def _messages(runner: Runner) -> Iterator[tuple[str, bytes, Mapping[str, Stamp]]
             value = entry.value
             times = map(runner.clock.stamp, entry.stamps)
             stamps = dict(zip(entry.chains, times, strict=True))
-        pieces = frame.segments(coder, value, Kind.MESSAGE, tag=tag)
+        pieces = frame.segments(coder, value, FrameKind.MESSAGE, tag=tag)
         yield name, b"".join(pieces), stamps
 
 
 def _frame_of(state: Struct | None) -> bytes:
     if state is None:
         return b""
-    return b"".join(frame.segments(codec(type(state)), state, Kind.MESSAGE))
+    return b"".join(frame.segments(codec(type(state)), state, FrameKind.MESSAGE))
 
 
 class StateReceiver:
@@ -323,9 +323,9 @@ class StateReceiver:
 
 def fetch(channel: Channel, request: Request, limit: float) -> StateTransfer:
     """Request the state of a source; CallError: no answer within `limit` [s]."""
-    pieces = frame.segments(REQUEST, (request, limit), Kind.CALL)
+    pieces = frame.segments(REQUEST, (request, limit), FrameKind.CALL)
     answer = channel.request(pieces, limit)
-    if answer.kind is Kind.ERROR:
+    if answer.kind is FrameKind.ERROR:
         type_name, text, _ = answer.value(frame.FAILURE)
         raise UsageError(f"the snapshot failed: {type_name}: {text}")
     transfer: StateTransfer = answer.value(TRANSFER)
@@ -387,7 +387,7 @@ def _value_of(data: bytes, method: Any) -> Any:  # noqa: ANN401, a user's method
 
 def _adapted(adapt: Callable[[Any], Any], state: Any) -> Any:  # noqa: ANN401, a user's function
     """Return what a function makes of a state; UsageError: not what it says it does."""
-    made = frame.segments(codec(Any), adapt(state), Kind.MESSAGE)
+    made = frame.segments(codec(Any), adapt(state), FrameKind.MESSAGE)
     declared = codec(get_type_hints(adapt)["return"])
     try:
         return frame.parse(b"".join(made)).value(declared)

@@ -31,7 +31,7 @@ from poise.wire.connections.opening import (
     AcceptWarning,
     own_keys,
 )
-from poise.wire.frame import Frame, Kind, Pieces
+from poise.wire.frame import Frame, FrameKind, Pieces
 
 if TYPE_CHECKING:
     from poise.wire.credentials import Credentials
@@ -213,7 +213,7 @@ class ConnectionServer:
             name: str = hello.value(NAME)
             self._raise_if_unknown(name)
         except (WireError, Unavailable) as error:
-            connection.send(frame.segments(NAME, str(error), Kind.ERROR), deadline)
+            connection.send(frame.segments(NAME, str(error), FrameKind.ERROR), deadline)
             raise
         served.connector, served.use = name, hello.number
         before = None
@@ -222,7 +222,7 @@ class ConnectionServer:
                 before = self._messages.get(name)
                 self._messages[name] = served
             self.on_change()
-        connection.send(frame.segments(NAME, name, Kind.HELLO), deadline)
+        connection.send(frame.segments(NAME, name, FrameKind.HELLO), deadline)
         if before is not None:
             _wait_until_taken(before)
 

@@ -22,7 +22,7 @@ from poise.wire.address import connect, family_of, gateway_path, tune
 from poise.wire.codec import WireError
 from poise.wire.connections.connection import Connection
 from poise.wire.connections.opening import ANSWER_LIMIT, NAME, AcceptWarning
-from poise.wire.frame import Kind
+from poise.wire.frame import FrameKind
 
 log = logging.getLogger(__name__)
 
@@ -137,7 +137,7 @@ def _named(connection: socket.socket) -> str:
     """Return the container that a connection names, and read nothing behind it."""
     deadline = time.monotonic() + SAY_LIMIT
     hello = frame.receive_frame(connection, deadline, _LARGEST)
-    if hello.kind is not Kind.HELLO:
+    if hello.kind is not FrameKind.HELLO:
         raise WireError(f"a frame of the kind {hello.kind.name}, not a name")
     name: str = hello.value(NAME)
     return name
@@ -146,7 +146,7 @@ def _named(connection: socket.socket) -> str:
 def _refuse(connection: socket.socket, why: str) -> None:
     """Send why; then wait for the other end to close."""
     deadline = time.monotonic() + SAY_LIMIT
-    Connection(connection).send(frame.segments(NAME, why, Kind.ERROR), deadline)
+    Connection(connection).send(frame.segments(NAME, why, FrameKind.ERROR), deadline)
     connection.shutdown(socket.SHUT_WR)
     connection.settimeout(SAY_LIMIT)
     while time.monotonic() < deadline and connection.recv(_LARGEST):

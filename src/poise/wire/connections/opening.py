@@ -19,7 +19,7 @@ from poise.wire import frame
 from poise.wire.address import KEYS, LOST_AFTER, Address, family_of, socket_path, tune
 from poise.wire.codec import WireError, codec
 from poise.wire.connections.connection import Connection
-from poise.wire.frame import Kind
+from poise.wire.frame import FrameKind
 
 if TYPE_CHECKING:
     from poise.wire.connections.tls_channel import Handshake
@@ -148,12 +148,12 @@ class Opening:
         if not self._is_ready(select.POLLIN, deadline):
             return False
         answer = self.connection.receive(time.monotonic() + ANSWER_LIMIT)
-        if answer.kind is not Kind.HELLO:
+        if answer.kind is not FrameKind.HELLO:
             raise Unavailable(f"{self._connector}: {answer.value(NAME)}")
         return True
 
     def _say(self, name: str, number: int = 0) -> None:
-        hello = frame.segments(NAME, name, Kind.HELLO, number=number)
+        hello = frame.segments(NAME, name, FrameKind.HELLO, number=number)
         self.connection.send(hello, time.monotonic() + ANSWER_LIMIT)
 
     def _is_ready(self, event: int, deadline: float) -> bool:

@@ -124,7 +124,7 @@ struct Names {
     const auto module = nb::module_::import_("poise.wire.frame");
     frame = nb::object(module.attr("Frame")).release().ptr();
     version = nb::cast<int>(module.attr("VERSION"));
-    for (nb::handle kind : nb::object(module.attr("Kind")))
+    for (nb::handle kind : nb::object(module.attr("FrameKind")))
       kinds.at(nb::cast<std::size_t>(kind)) = nb::borrow(kind).release().ptr();
     no_buffers = PyMemoryView_FromObject(nb::bytes("", 0).ptr());
   }
