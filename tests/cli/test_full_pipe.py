@@ -116,7 +116,7 @@ FAILING = """
 import poise.cli.command_table
 from poise.cli.main import main
 
-def build(_):
+def build(*_, **__):
     raise KeyError("a bug of Poise")
 
 poise.cli.command_table.build = build

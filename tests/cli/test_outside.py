@@ -354,7 +354,7 @@ def test_a_port_without_a_connector_is_shown(robot: api.Running) -> None:
     robot.component("summer").publish("lone", {"value": 7}, limit=10)
     passed = itertools.chain.from_iterable(reading.passed for reading in readings)
     assert next(passed).value == {"value": 7}
-    with pytest.raises(RunError, match=r"publishes no 'loan' \(did you mean 'lone'"):
+    with pytest.raises(UsageError, match=r"publishes no 'loan' \(did you mean 'lone'"):
         next(robot.echo("summer.loan"))
 
 

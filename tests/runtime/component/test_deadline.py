@@ -116,7 +116,8 @@ def test_a_block_gives_its_calls_up(pair: Pair) -> None:
         with within(LIMIT), within(SHORT), within(LIMIT), pytest.raises(Timeout):
             source.out.wait_until_over()
         assert time.monotonic() - began < LIMIT / 2
-        assert target.ended.wait(LIMIT)
+        # on a busy machine it may come too late to begin
+        wait_until(lambda: target.ended.is_set() or not target.began.is_set())
         assert source.out.count() == 1  # it works again, without a limit
         assert time_left() == math.inf
 
