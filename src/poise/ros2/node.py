@@ -7,6 +7,7 @@ too. Another node is made, spins, and is destroyed.
 from __future__ import annotations
 
 import inspect
+import re
 from collections.abc import Callable, Mapping
 from typing import Any, get_type_hints
 
@@ -19,6 +20,8 @@ from poise.ros2.arrivals import Arrivals
 from poise.ros2.executor_source import ExecutorSource
 from poise.runtime.component.component import Component
 from poise.runtime.component.implementation import find_function
+
+_TYPE = re.compile(r"(?:(?<=expected )|(?<= got ))'(\d+)'")
 
 
 class RosNode(Component):
@@ -95,7 +98,14 @@ class RosNode(Component):
         new = [Parameter(name, value=value) for name, value in changes.items()]
         result = self.node.set_parameters_atomically(new)
         if not result.successful:
-            raise UsageError(f"the node refused: {result.reason or 'without a reason'}")
+            # rclpy has types as numbers there
+            reason = _TYPE.sub(lambda t: Parameter.Type(int(t[1])).name, result.reason)
+            raise UsageError(f"the node refused: {reason or 'without a reason'}")
+
+    def _settable(self) -> Mapping[str, Any]:
+        """Return the parameters that the node declares, too."""
+        declared = {k: p.value for k, p in self.node._parameters.items()}  # noqa: SLF001, as below
+        return {**declared, **super()._settable()}
 
     def _check_declared(self, name: str) -> None:
         node = self.node

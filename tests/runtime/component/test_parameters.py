@@ -61,6 +61,19 @@ def test_how_a_node_is_started_is_no_parameter_of_it() -> None:
     assert node.parameters == {"ros2": {"node": "a:B"}, "gain": 2.0}
 
 
+def test_whole_numbers_in_a_list_of_real_ones_are_real() -> None:
+    context = Context(
+        name="node",
+        parameters={"gains": [0.5, 1.0], "sizes": [1]},
+        devices={},
+        clock=SystemClock(),
+        measure=lambda *_: None,
+    )
+    node = create(Node, context)
+    set_parameters(node, {"gains": [2, 3], "sizes": [4]})
+    assert repr(node.parameters) == "{'gains': [2.0, 3.0], 'sizes': [4]}"
+
+
 def test_all_that_is_missing_is_said() -> None:
     with pytest.raises(UsageError, match=r"'least' is missing; .*'most' is missing"):
         as_declared(Ranged, {})

@@ -261,6 +261,10 @@ class Component:
             f"{type(self).__qualname__} has no `reconfigure`"
         )
 
+    def _settable(self) -> Mapping[str, Any]:
+        """Return the parameters that may be set while it runs."""
+        return shown_parameters(self)
+
     def activate(self) -> None:
         """Begin to work: the ports are wired, timers and messages come afterwards."""
 
@@ -364,6 +368,8 @@ def _like(before: object, value: object) -> object:
         return {name: _like(before.get(name), part) for name, part in value.items()}
     if isinstance(before, float) and type(value) is int:
         return float(value)
+    if isinstance(before, list) and isinstance(value, list) and before:
+        return [_like(before[0], part) for part in value]
     return value
 
 
@@ -380,7 +386,7 @@ def set_parameters(component: Component, changes: Values) -> None:
     its `reconfigure` raises.
     """
     now = plain(component.parameters)
-    settable = shown_parameters(component)
+    settable = component._settable()  # noqa: SLF001, of its own class
     known = parameters_type(type(component))
     for name in changes:
         if known is None and name not in settable:
@@ -388,7 +394,7 @@ def set_parameters(component: Component, changes: Values) -> None:
                 f"'{component.name}' has no parameter '{name}'"
                 f"{did_you_mean(name, settable)}; it has {listed(settable)}"
             )
-    alike = {name: _like(now.get(name), value) for name, value in changes.items()}
+    alike = {name: _like(settable.get(name), value) for name, value in changes.items()}
     new = as_declared(type(component), {**now, **alike})
     component.reconfigure(new)
     component._context = replace(component._context, parameters=new)  # noqa: SLF001, its part
