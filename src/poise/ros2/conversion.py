@@ -9,6 +9,7 @@ from __future__ import annotations
 import array
 import enum
 import importlib
+import struct
 from collections.abc import Callable
 from typing import Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
@@ -120,7 +121,7 @@ class Conversions:
         if get_origin(hint) is Literal and type(get_args(hint)[0]) is wanted:
             return _SAME
         if hint is wanted or (hint is float and wanted is int):
-            return Conversion(wanted, hint)
+            return Conversion(_whole(kind, where) if wanted is int else wanted, hint)
         return self._wrong(where, f"is {_shown(hint)}, but a {kind} in ROS 2")
 
     def _several(self, hint: Any, of: str, kind: str, where: str) -> Conversion:  # noqa: ANN401
@@ -201,6 +202,20 @@ class Conversions:
 
 _NO_STAMP = Stamp(0.0, "?")
 """Says that there is none: nobody knows that computer's clock."""
+
+
+def _whole(kind: str, where: str) -> Convert:
+    """Return what makes an integer, which ROS 2 would cut to its size unasked."""
+    code = _CODES[kind]
+    bits = 8 * struct.calcsize(f"={code}")
+    low, high = (-(1 << bits - 1), 1 << bits - 1) if code.islower() else (0, 1 << bits)
+
+    def to_ros(value: Any) -> int:  # noqa: ANN401, a number
+        if not low <= (made := int(value)) < high:
+            raise ValueError(f"{where} is {made}, which does not fit into {kind}")
+        return made
+
+    return to_ros
 
 
 def _same(value: Any) -> Any:  # noqa: ANN401, any value
