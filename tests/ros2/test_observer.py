@@ -40,3 +40,12 @@ def test_why_the_process_of_a_node_is_not_known(
     seen._find_nodes()
     assert seen._elsewhere.get("/a", "").startswith(why)
     assert ("/a" in seen._pids) is not bool(why)
+
+
+@pytest.mark.slow
+def test_says_which_names_several_nodes_have() -> None:
+    from poise.session.ros2_import.observer import remarks_on  # noqa: PLC0415, where ROS 2 is
+
+    ended, twice = remarks_on({"/gone", "/ear"}, ["/ear", "/mouth", "/ear"])
+    assert ended == "/gone ended meanwhile"
+    assert twice.startswith("2 nodes are called /ear, of which at most one is seen")

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 import time
-from collections import defaultdict
-from collections.abc import Iterator, Mapping
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
 from typing import Any
 
@@ -144,6 +144,18 @@ def observe(seconds: float) -> Graph:
         rclpy.shutdown()
 
 
+def remarks_on(before: set[str], now: Sequence[str]) -> Iterator[str]:
+    """Yield which nodes ended, and which names several nodes have."""
+    for name in sorted(before - {*now}):
+        yield f"{name} ended meanwhile"
+    for name, count in sorted(Counter(now).items()):
+        if count > 1:
+            yield (
+                f"{count} nodes are called {name}, of which at most one is seen: "
+                "give each a name of its own"
+            )
+
+
 class _Observer:
     def __init__(self, node: Node) -> None:
         self._node = node
@@ -178,9 +190,7 @@ class _Observer:
             topics=topics,
             calls=tuple(self._calls(sorted(self._nodes & self._names()))),
             elsewhere=self._elsewhere,
-            remarks=tuple(
-                f"{name} ended meanwhile" for name in self._nodes - self._names()
-            ),
+            remarks=tuple(remarks_on(self._nodes, self._all_names())),
             own_cpu=own_cpu,
         )
 
@@ -202,11 +212,14 @@ class _Observer:
                 )
 
     def _names(self) -> set[str]:
-        return {
+        return set(self._all_names())
+
+    def _all_names(self) -> list[str]:
+        return [
             f"{namespace.rstrip('/')}/{name}"
             for name, namespace in self._node.get_node_names_and_namespaces()
             if name != _NAME and not name.startswith(("_", *_TOOLS))
-        }
+        ]
 
     def _measure(self, end: float) -> None:
         """Look at all topics until `end`."""
