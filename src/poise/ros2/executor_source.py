@@ -20,6 +20,7 @@ class ExecutorSource:
         from rclpy import executors  # noqa: PLC0415, only where a node runs
 
         self._executor = executors.SingleThreadedExecutor()
+        self._node = node
         self._executor.add_node(node)
         self._returns = (
             executors.TimeoutException,
@@ -32,6 +33,8 @@ class ExecutorSource:
         """Wait up to `limit` [s] for a callback that is due, or until `wake`."""
         self._is_waiting = True
         try:
+            with self._node.handle:  # raises where its code has destroyed it
+                pass
             task, entity, _ = self._executor.wait_for_ready_callbacks(
                 limit, None, self._woken
             )
@@ -39,7 +42,7 @@ class ExecutorSource:
             return None
         # whatever ROS 2 raises here: nothing of the node would run any more
         except Exception as error:  # noqa: BLE001
-            self._give_up(f"its ROS 2 executor ended: {error!r}")
+            self._give_up(_why_ended(error))
             self._woken = lambda: True  # type: ignore[method-assign]
             return None
         finally:
@@ -58,6 +61,12 @@ class ExecutorSource:
 
     def _woken(self) -> bool:
         return self._is_woken
+
+
+def _why_ended(error: Exception) -> str:
+    if type(error).__name__ == "InvalidHandle":
+        return "its ROS 2 node was destroyed (`destroy_node`): no callback runs"
+    return f"its ROS 2 executor ended: {error!r}"
 
 
 def _run(task: Any) -> None:  # noqa: ANN401, a task of rclpy
