@@ -126,8 +126,12 @@ class LiveRobot(DesiredState):
             )
         }
 
-    def end_left_behind(self, coming: Collection[Incarnation]) -> None:
+    def end_left_behind(
+        self, coming: Collection[Incarnation], lost: Collection[str] = ()
+    ) -> None:
         """Wait until no earlier incarnation of what is to be active is at work.
+
+        `lost`: computers where others of them run, and that are out of reach.
 
         Where it is out of reach, it has its lease while another agent hears its
         computer. Raises RunError: it may still be at work.
@@ -139,12 +143,13 @@ class LiveRobot(DesiredState):
             for i in self._left_behind.values()
             if i.component in names and i.key not in keys
         ]
-        lost = {i.computer for i in left} & self.agents.out_of_reach().keys()
-        if lost:
-            self.revoke_leases(lost)
+        away = {i.computer for i in left} & self.agents.out_of_reach().keys()
         for incarnation in left:
-            if incarnation.computer not in lost:
+            if incarnation.computer not in away:
                 self.wait_ended(incarnation)
+        # all at once, and last: what comes back while this waits goes on as it was
+        if away := away.union(lost):
+            self.revoke_leases(away)
 
     def revoke_leases(self, lost: Collection[str]) -> None:
         """Wait until nothing of lost computers can be active there any more."""

@@ -57,9 +57,7 @@ def start_together(
         live.wait(inactive, READY_LIMIT)
         for incarnation in ends:
             live.wait_ended(incarnation)
-        if lost:
-            live.revoke_leases(lost)
-        live.end_left_behind(new)
+        live.end_left_behind(new, lost)
         if live.agents.election is not None:
             # else a later leader would let what ran before go on beside them
             live.commit_lastingly(live.desired.placing(inactive), "the new placement")
