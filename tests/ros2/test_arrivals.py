@@ -64,3 +64,15 @@ def test_subscriptions_to_one_topic_are_apart() -> None:
     after.go_on_from(arrivals.stamps)
     assert not after.is_new(info(100), 0)
     assert after.is_new(info(100), 1)
+
+
+def test_publishers_that_were_not_heard_for_long_are_forgotten() -> None:
+    arrivals = Arrivals()
+    for number in range(2000):
+        gid = {"data": [number // 256, number % 256]}
+        assert arrivals.is_new({"publisher_gid": gid, "source_timestamp": number})
+        assert arrivals.is_new(info(number))
+    assert len(arrivals.stamps) == 1000
+    after = Arrivals()
+    after.go_on_from(arrivals.stamps)
+    assert not after.is_new(info(1999))

@@ -152,7 +152,7 @@ def _offer_seconds(app: typer.Typer, first: str, begun: str) -> str:
     app.add_typer(group, name=first)
     for second in offers:
         group.command(second, help=COMMANDS[f"{first} {second}"][1])(_not_loaded)
-    return f"{first} {offers[0]}..."
+    return f"{first} {begun}"
 
 
 def _group_of(app: typer.Typer, name: str) -> tuple[typer.Typer, str]:

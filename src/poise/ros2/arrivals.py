@@ -6,6 +6,9 @@ import inspect
 from collections.abc import Callable, Mapping
 from typing import Any
 
+_MOST = 1000
+"""Of so many publishers it is known; those that were heard last."""
+
 
 class Arrivals:
     """When the last messages taken were published, which successors get, too.
@@ -28,7 +31,10 @@ class Arrivals:
         if stamp <= self._before.get(key, -1):
             return False
         self._before.pop(key, None)  # its clock may be set back
+        self.stamps.pop(key, None)  # the last heard comes last
         self.stamps[key] = stamp
+        if len(self.stamps) > _MOST:
+            del self.stamps[next(iter(self.stamps))]
         return True
 
     def watch(self, node: Any) -> None:  # noqa: ANN401, a node of rclpy

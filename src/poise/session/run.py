@@ -32,7 +32,7 @@ from poise.session.placing.placement import Placement
 from poise.session.record_run import keeping
 from poise.session.robot_file import task_of
 from poise.session.run_records import History
-from poise.session.run_report import MeasuredRun, RunReport, faults_of, reported
+from poise.session.run_report import MeasuredRun, RunReport, located_faults, reported
 from poise.units import counted
 from poise.wire.heartbeats import UNCUT_SURELY_ENDED
 
@@ -127,7 +127,7 @@ def run(  # noqa: PLR0913 - each is a choice of the user
             say(f"the report lacks {lacks} of the journal; `poise journal` has more")
         report = reported(up, placed, manager.tasks.reports, seen, entries)
         stop(up.live)
-        return structs.replace(report, faults=faults_of(up.live))
+        return structs.replace(report, faults=located_faults(up.live))
 
 
 class Warnings:

@@ -154,7 +154,7 @@ class MeasuredRun(Struct, frozen=True, kw_only=True):
     interrupted: bool
 
 
-def faults_of(live: LiveRobot) -> tuple[LocatedFault, ...]:
+def located_faults(live: LiveRobot) -> tuple[LocatedFault, ...]:
     """Return what went wrong on its computers since the robot started."""
     return tuple(
         LocatedFault(computer=computer, **msgspec.structs.asdict(fault))

@@ -131,10 +131,10 @@ class LiveRobot(DesiredState):
     ) -> None:
         """Wait until no earlier incarnation of what is to be active is at work.
 
-        `lost`: computers where others of them run, and that are out of reach.
-
         Where it is out of reach, it has its lease while another agent hears its
         computer. Raises RunError: it may still be at work.
+
+        `lost`: the computers out of reach where the incarnations now placed ran.
         """
         keys = {i.key for i in coming}
         names = {i.component for i in coming}

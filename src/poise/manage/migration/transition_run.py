@@ -90,7 +90,7 @@ def _names(computers: Collection[str]) -> str:
 
 
 def _with_checkpoint(live: LiveRobot, new: Incarnation) -> Incarnation:
-    """Let an agent keep the state that a component has to go on from, if there is."""
+    """Return it with what was kept of what is placed; journal what is lost."""
     name, before = new.component, live.placed.get(new.component)
     kept = live.agents.checkpoints.get(name, before.epoch) if before else None
     if before is not None and kept is None:
