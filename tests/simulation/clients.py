@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Literal, TypeVar
@@ -48,6 +49,9 @@ _VERBS: tuple[Literal["start", "pause", "resume", "cancel"], ...] = (
     "resume",
     "cancel",
 )
+
+
+_STARTS = re.compile(r"task '(.+)' starts, with priority")
 
 
 class Clients:
@@ -110,8 +114,11 @@ class Clients:
     def _note_entry(self, entry: JournalEntry) -> None:
         """Let all begin anew where somebody started a robot that had no task at work.
 
-        Epochs do, and its tasks run, whatever clients asked for before.
+        Epochs do, and its tasks run, whatever clients asked for before; so does a task
+        that the next manager is started with.
         """
+        if begun := _STARTS.match(entry.what):
+            self._done.pop(begun[1], None)
         if entry.what.startswith("starting "):
             self._done.clear()
             for name in self._moved:
