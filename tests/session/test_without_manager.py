@@ -240,7 +240,12 @@ def test_a_stopped_manager_that_wakes_up_does_not_do_what_a_client_gave_up() -> 
     with stopped(before["manager"]["pid"]):
         assert run_poise("stop", "--robot", NAME).returncode == 4
     # after a longer halt it hears its agents only a moment later
-    wait_long(lambda: not (now := status())["by_agents"] and bool(containers(now)))
+    wait_long(
+        lambda: (
+            not (now := status())["by_agents"]
+            and len(containers(now)) == len(containers(before))
+        )
+    )
     after = status()
     assert after["manager"] == before["manager"]
     assert containers(after) == containers(before)

@@ -530,7 +530,7 @@ def test_a_hook_that_fails_at_the_end_is_a_fault(manager: Manager) -> None:
     def told(status: AgentStatus) -> int:
         return sum(fault.message.startswith(said) for fault in status.faults)
 
-    manager.wait_for(lambda status: told(status) == 1)
+    manager.wait_for(lambda status: told(status) == 1 and "messy" not in states(status))
     manager.deploy_container("both", *specs)
     manager.wait_for(lambda status: states(status).get("messy") == "inactive")
     manager.deploy()
