@@ -181,6 +181,9 @@ class FakeAgents:
         """Let an agent have reported something else."""
         self._statuses[status.computer] = status
 
+    def forget_status(self, computer: str) -> None:
+        del self._statuses[computer]
+
     def statuses(self) -> dict[str, AgentStatus]:
         return dict(self._statuses)
 

@@ -33,3 +33,19 @@ def test_an_agent_that_was_back_before_anybody_looked_is_told_of(robot: Robot) -
         "computer 'right' was cut off, or its agent was restarted",
         "the agent of 'right' was restarted; 1 container went on",
     ]
+
+
+def test_an_agent_of_which_nothing_is_known_yet_is_told_of(robot: Robot) -> None:
+    """It came back before anybody looked, and has not reported since."""
+    agents = FakeAgents("left", "right")
+    placement = {"grabber": "left", "thinker": "right"}
+    live = LiveRobot(
+        robot, placement, cast("Agents", agents), Journal(":memory:"), "/run"
+    )
+    live.start()
+    lost = LostComputers(live)
+    assert lost.deviations() == []
+    agents.forget_status("right")
+    (told,) = lost.deviations()
+    assert told.computer == "right"
+    assert "is back, but not yet managed" in told.what

@@ -95,6 +95,10 @@ class LostComputers:
         """Return what is known of each; from any thread."""
         since = self._live.agents.out_of_reach()
         lost_at, refused = self._lost_at.copy(), self._refused.copy()
+        reported, now = self._live.agents.statuses(), wall_time()
+        for computer in self._live.robot.computers:
+            if computer.name not in reported:
+                lost_at.setdefault(computer.name, now)
         returning = [
             Deviation(
                 what=f"computer '{computer}' is back, but not yet managed again",
