@@ -113,6 +113,18 @@ def test_without_an_authority_nothing_is_issued(tmp_path: Path) -> None:
         authority_of("hello", tmp_path)
 
 
+@pytest.mark.parametrize("name", ["current.pem", "current.key"])
+def test_a_damaged_authority_issues_nothing(authority: Authority, name: str) -> None:
+    (authority.folder / "owner" / name).write_text("nonsense")
+    with pytest.raises(UsageError, match=rf"{name} is damaged: .*`poise keys init`"):
+        issue(authority_of("hello", authority.folder))
+
+
+def test_the_authority_of_another_robot_is_refused(authority: Authority) -> None:
+    with pytest.raises(UsageError, match="is robot 'hello's, not 'other's"):
+        authority_of("other", authority.folder)
+
+
 def test_issuing_again_replaces_all(authority: Authority) -> None:
     before = issue(authority)
     (before.folder / AUTHORITY).write_text("nonsense")

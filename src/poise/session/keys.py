@@ -148,14 +148,27 @@ class Authority(Struct, frozen=True):
 
     @property
     def _certificate(self) -> x509.Certificate:
-        return x509.load_pem_x509_certificate(self._read("current.pem"))
+        try:
+            return x509.load_pem_x509_certificate(self._read("current.pem"))
+        except ValueError:
+            raise self._damaged("current.pem") from None
 
     @property
     def _key(self) -> ec.EllipticCurvePrivateKey:
-        key = serialization.load_pem_private_key(self._read("current.key"), None)
+        try:
+            key = serialization.load_pem_private_key(self._read("current.key"), None)
+        except ValueError:
+            raise self._damaged("current.key") from None
         if not isinstance(key, ec.EllipticCurvePrivateKey):
             raise UsageError(f"{self.folder / _OWNER}: current.key is of another kind")
         return key
+
+    def _damaged(self, name: str) -> UsageError:
+        return UsageError(
+            f"{self.folder / _OWNER / name} is damaged: copy it back, or remove "
+            f"{self.folder / _OWNER}, then `poise keys init` makes another authority, "
+            "and all need its keys"
+        )
 
     def _known(self, suffix: str) -> Iterator[bytes]:
         for which in _ORDER:
@@ -175,7 +188,13 @@ class Authority(Struct, frozen=True):
 def authority_of(robot: str, folder: Path | None = None) -> Authority:
     """Return the authority of a robot; UsageError: it has none here."""
     authority = Authority(robot, folder or folders(robot)[0])
-    _ = authority._certificate  # noqa: SLF001, it is read
+    subject = authority._certificate.subject  # noqa: SLF001, it is read
+    of = [name.value for name in subject.get_attributes_for_oid(_ROBOT)]
+    if of != [robot]:
+        raise UsageError(
+            f"the authority in {authority.folder} is robot '{''.join(map(str, of))}'s, "
+            f"not '{robot}'s"
+        )
     return authority
 
 
