@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 from pathlib import Path
 
@@ -76,3 +77,21 @@ def test_damaged_keys_do_not_hide_the_others(data: Path) -> None:
     assert done.returncode == 1
     assert [each["robot"] for each in json.loads(done.stdout)] == ["hello"]
     assert f"{data / 'damaged'} lacks authority.pem" in done.stderr
+
+
+def test_keys_of_another_user_do_not_hide_the_others(
+    data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    theirs, is_file = data / "theirs", Path.is_file
+
+    def is_file_as_other_user(path: Path) -> bool:
+        if path.parent == theirs:
+            raise PermissionError(errno.EACCES, "Permission denied", str(path))
+        return is_file(path)
+
+    theirs.mkdir()
+    monkeypatch.setattr(Path, "is_file", is_file_as_other_user)
+    done = run_poise("keys", "list", "--json")
+    assert done.returncode == 1
+    assert [each["robot"] for each in json.loads(done.stdout)] == ["hello"]
+    assert f"{theirs} cannot be read: Permission denied" in done.stderr

@@ -180,6 +180,8 @@ def _keys_in(folder: Path) -> Credentials | str:
         _ = keys.expires  # it is read
     except PoiseError as error:
         return str(error)
+    except OSError as error:  # those of another user
+        return f"{folder} cannot be read: {error.strerror}"
     return keys
 
 
