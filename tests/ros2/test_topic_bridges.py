@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from poise.errors import RobotError
 from poise.ros2.arrivals import Arrivals
 from poise.ros2.bridge_node import BridgeLine
 from poise.ros2.topic_bridges import FromTopics
@@ -47,3 +48,21 @@ def test_a_message_is_new_by_the_clock_of_its_publisher() -> None:
     after.takes("new", publisher=2, stamp=500)
     after.takes("set back", publisher=2, stamp=300)
     assert after.took == ["new", "set back"]
+
+
+@pytest.mark.slow
+def test_publishers_of_another_type_are_told_of_once() -> None:
+    bridge: Any = object.__new__(FromTopics)
+    bridge._misfits = set()
+    bridge.__dict__["entries"] = [BridgeLine(ros2="/said", type="std_msgs/msg/String")]
+    types = {"talker": "std_msgs/msg/Int32", "teller": "std_msgs/msg/String"}
+    others = [
+        SimpleNamespace(node_name=name, topic_type=type_)
+        for name, type_ in types.items()
+    ]
+    topics = {"/said": others}
+    bridge.node = SimpleNamespace(get_publishers_info_by_topic=topics.__getitem__)
+    what = "node 'talker' publishes std_msgs/msg/Int32 on '/said', where the bridge "
+    with pytest.raises(RobotError, match=f"{what}takes std_msgs/msg/String"):
+        bridge._look_at_types()
+    bridge._look_at_types()

@@ -20,6 +20,8 @@ from poise.runtime.component.ports import Port, Published, published, subscribed
 _HAND_OVER = 1e-6
 """After each message it sleeps [s], so that subscribers in its process run at once: to
 wait for ROS 2 again, its executor keeps Python's lock for 0.1 ms."""
+_LOOK_EVERY = 2.0
+"""So often it looks at what types others publish [s]."""
 
 
 class ToTopics(BridgeNode):
@@ -63,6 +65,7 @@ class FromTopics(ToTopics):
     def configure(self) -> None:
         """Make a node of its own."""
         self._arrivals = Arrivals()
+        self._misfits: set[tuple[str, str]] = set()
         super().configure()
 
     def snapshot(self) -> Came:
@@ -77,6 +80,7 @@ class FromTopics(ToTopics):
         """Make the subscriptions."""
         for entry, pair in zip(self.entries, self.conversions(self.clock), strict=True):
             self._subscribe(entry, pair.from_ros, {})
+        self.node.create_timer(_LOOK_EVERY, self._look_at_types)
 
     def activate(self) -> None:
         """Begin to hear ROS 2, with what came since its predecessor heard the last."""
@@ -121,6 +125,22 @@ class FromTopics(ToTopics):
             entry.qos(**less),
             event_callbacks=SubscriptionEventCallbacks(incompatible_qos=offered_less),
         )
+
+    def _look_at_types(self) -> None:
+        """Raise once for each type that a publisher has instead: nothing else says it.
+
+        ROS 2 tells nobody; the two never hear of each other.
+        """
+        for entry in self.entries:
+            for other in self.node.get_publishers_info_by_topic(entry.ros2):
+                misfit = entry.ros2, other.topic_type
+                if other.topic_type != entry.type and misfit not in self._misfits:
+                    self._misfits.add(misfit)
+                    raise RobotError(
+                        f"node '{other.node_name}' publishes {other.topic_type} on "
+                        f"'{entry.ros2}', where the bridge takes {entry.type}: nothing "
+                        "comes from it"
+                    )
 
 
 _LEAST = {"reliability": {"reliability": "BEST_EFFORT"}}
