@@ -82,6 +82,18 @@ def test_returns_the_managers_result(server: ControlServer) -> None:
     assert command == StopCommand()
 
 
+def test_a_damaged_note_of_another_robot_does_no_harm(
+    server: ControlServer, folder: Path
+) -> None:
+    server.start(answering(StopReport()))
+    note = folder / "second.agents"
+    note.write_text("nonsense")
+    assert send_command("first", StopCommand()) == StopReport()
+    for robot in (None, "second"):
+        with pytest.raises(RunError, match=rf"{note}: .*: remove it"):
+            send_command(robot, StopCommand())
+
+
 def test_a_status_says_that_the_robot_starts(server: ControlServer) -> None:
     with pytest.raises(RunError, match=r"'first' has been starting since \d\d:"):
         send_command("first", StatusCommand())

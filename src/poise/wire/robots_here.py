@@ -129,12 +129,14 @@ def forget(robot: str) -> None:
 
 def noted_of(robot: str) -> AgentAddresses | None:
     """Return where a robot's agents are, if that is noted on this computer."""
-    return next((addresses for addresses in noted() if addresses.robot == robot), None)
+    return next(noted(robot), None)
 
 
-def noted() -> Iterator[AgentAddresses]:
-    """Yield what managers of this user noted on this computer."""
+def noted(robot: str | None = None) -> Iterator[AgentAddresses]:
+    """Yield what managers of this user noted on this computer, of one robot or all."""
     for path in sorted(folder().glob("*.agents")):
+        if robot not in {None, path.stem}:
+            continue
         try:
             yield from_json(path.read_bytes(), AgentAddresses)
         except FileNotFoundError:  # the robot has just stopped

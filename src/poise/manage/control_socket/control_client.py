@@ -97,14 +97,14 @@ def _find(robot: str | None) -> Path | AgentAddresses:
     Where its manager is not here, return its agents.
     """
     managed = running_here()
-    noted_here = {addresses.robot: addresses for addresses in noted()}
     if robot is None:
-        robot = _only_one(managed, noted_here)
+        robot = _only_one(managed, [addresses.robot for addresses in noted()])
     if robot in managed:
         return path_of(robot)
-    if robot not in noted_here:
+    addresses = noted_of(robot)
+    if addresses is None:
         raise _not_here(robot, managed)
-    return noted_here[robot]
+    return addresses
 
 
 def _only_one(managed: Sequence[str], noted_here: Collection[str]) -> str:
