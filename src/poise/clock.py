@@ -69,7 +69,7 @@ def time_asleep() -> float:
     """Return for how long the computer has been suspended since it started [s]."""
     # a pause between two readings makes it seem less, never more
     return max(
-        time.clock_gettime(time.CLOCK_BOOTTIME) - time.monotonic() for _ in range(2)
+        [time.clock_gettime(time.CLOCK_BOOTTIME) - time.monotonic() for _ in range(2)]
     )
 
 

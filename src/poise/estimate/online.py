@@ -11,7 +11,7 @@ estimate.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from itertools import islice
 from typing import Literal
 
@@ -120,7 +120,7 @@ class Sums:
         return max(0.0, 1 - self.done / self.asked) if self.asked else 0.0
 
 
-def demand_in(windows: Collection[Window], total: Sums | None = None) -> Demand:
+def demand_in(windows: Sequence[Window], total: Sums | None = None) -> Demand:
     """Return the demand in consecutive windows; at least one."""
     total = total or Sums(windows)
     used = total.cpu / total.seconds
@@ -130,14 +130,13 @@ def demand_in(windows: Collection[Window], total: Sums | None = None) -> Demand:
     # have more of them than ended jobs.
     ends = [at for at, window in enumerate(windows) if window.done]
     first, last = (ends[0] + 1, ends[-1] + 1) if ends else (0, 0)
-    between = list(islice(windows, first, last))
-    jobs = Sums(between)
-    if jobs.cpu <= 0:
+    cpu = [window.cpu for window in islice(windows, first, last)]
+    if (cpu_of_jobs := sum(cpu)) <= 0:
         return Demand(used, None)
-    cost = jobs.cpu / jobs.done
+    cost = cpu_of_jobs / (total.done - windows[ends[0]].done)
     cores = total.asked / total.seconds * cost
     # one window may belong to another job, and one job more or less may have arrived
-    unsure = max(window.cpu for window in between) / jobs.cpu
+    unsure = max(cpu) / cpu_of_jobs
     return Demand(cores, cores * unsure + cost / total.seconds)
 
 
@@ -153,6 +152,8 @@ class PresentJob:
     """The job at which a component has been since the last one ended."""
 
     def __init__(self) -> None:
+        self.is_long = False
+        """Whether it stands out among the jobs before."""
         self.windows = 0
         self.seconds = self.cpu = 0.0
         self._asked = 0
@@ -168,21 +169,18 @@ class PresentJob:
             self._costliest = max(self._costliest, cost)
         if window.done > 0 or window.cpu < _AT_WORK * window.seconds:
             self.windows, self.seconds, self.cpu, self._asked = 0, 0.0, 0.0, 0
+            self.is_long = False
             return
         self.windows += 1
         self._asked += window.asked
         self.seconds += window.seconds
         self.cpu += window.cpu
-
-    @property
-    def is_long(self) -> bool:
-        """Whether it stands out among the jobs before."""
-        if self.seconds < AFTER - 1e-6:  # windows are rounded
-            return False
-        outweighs = self.cpu >= max(USED, _OUTWEIGHS * self._costliest)
-        # else it answers calls between two jobs of its own
-        is_job = self._asked > 0 or self._only_answers
-        return outweighs and is_job
+        self.is_long = (
+            self.seconds >= AFTER - 1e-6  # windows are rounded
+            and self.cpu >= max(USED, _OUTWEIGHS * self._costliest)
+            # else it answers calls between two jobs of its own
+            and (self._asked > 0 or self._only_answers)
+        )
 
 
 SPAN = 30.0
@@ -274,16 +272,17 @@ class RunningEstimate:
         window = window_between(before, reading) if before else None
         if window is not None:
             self._lately.append(window)
-        if window is None or self._is_useless(window):
+        if window is None or (window.is_cut and self._is_useless(window)):
             return None
         self._keep(window)
         was_long = self._is_at_long_job
         self._job.add(window)
+        is_long = self._is_at_long_job
         if was_long:
-            if not self._is_at_long_job:
+            if not is_long:
                 self._start_again(None, 1)
             return None
-        if self._is_at_long_job or self._was_idle():
+        if is_long or (self._job.is_long and self._was_idle()):
             drift = self._drift_since(self._job.windows, reading.at)
             self._start_again(drift, self._job.windows)
             return drift
@@ -336,8 +335,8 @@ class RunningEstimate:
         return self._has_jobs and self._job.is_long
 
     def _was_idle(self) -> bool:
-        """Whether it works now, after it did nothing for long enough to know."""
-        if self._has_jobs or not self._job.is_long:
+        """Whether a long job without others came after it did nothing for long."""
+        if self._has_jobs:
             return False
         seconds = self._sums.seconds - self._job.seconds
         cpu = self._sums.cpu - self._job.cpu
@@ -352,10 +351,9 @@ class RunningEstimate:
         return self._spread
 
     def _is_useless(self, window: Window) -> bool:
-        """Whether it gives only a lower bound that is known already."""
+        """Whether a lower bound, which is all that it gives, is known already."""
         return (
-            window.is_cut
-            and not self._has_jobs
+            not self._has_jobs
             and bool(self._windows)
             and window.cpu / window.seconds <= self._sums.cpu / self._sums.seconds
         )

@@ -85,6 +85,7 @@ class Scheduler:
     next one here.
     `now`: the present moment [s]; the run begins at 0.
     `current`: the task that runs; None: the simulated world does.
+    `thread`: on which it runs: on another one, no task does.
     `steps`: how often a task ran until it waited.
     `on_step`: called after each step.
     `locks_left`: so many free locks are taken until the task that takes one gives way.
@@ -96,7 +97,7 @@ class Scheduler:
         self.engine = Engine(seed, choices.recorded(ENGINE))
         self.now = 0.0
         self.current: SimulatedTask | None = None
-        self._thread = get_ident()
+        self.thread = get_ident()
         self.steps = 0
         self.on_step: Callable[[], object] = lambda: None
         self._number = 0
@@ -178,10 +179,6 @@ class Scheduler:
         if not task.has_ended:
             self._switch_to(task)
 
-    def present(self) -> SimulatedTask | None:
-        """Return the task that calls this; None where no task does."""
-        return self.current if get_ident() == self._thread else None
-
     def run(self, until: float) -> None:
         """Let time pass until a moment [s].
 
@@ -190,7 +187,7 @@ class Scheduler:
         SimulationError
             Nothing can ever run again, or time does not pass.
         """
-        self._thread = get_ident()
+        self.thread = get_ident()
         timers, ready, engine = self._timers, self._ready, self.engine
         while True:
             while timers and timers[0][0] <= self.now:

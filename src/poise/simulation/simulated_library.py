@@ -23,6 +23,7 @@ from collections import deque
 from collections.abc import Callable, Container, Hashable, Iterator, Mapping, Sequence
 from functools import partial
 from math import inf
+from threading import get_ident
 from types import FunctionType, SimpleNamespace
 from typing import Any
 
@@ -160,9 +161,10 @@ def _monotonic(scheduler: Scheduler, real: Callable[[], float]) -> Callable[[], 
     """Return what `_in_tasks` would, without its detours: most calls are of this."""
 
     def monotonic() -> float:
-        task = scheduler.present()
-        now: float = real() if task is None else task.host.computer.monotonic()
-        return now
+        task = scheduler.current
+        if task is None or get_ident() != scheduler.thread:
+            return real()
+        return task.host.computer.monotonic()
 
     return monotonic
 
@@ -280,7 +282,7 @@ def _in_tasks(
     """Return what is simulated for tasks, and real for all others."""
 
     def either(*args: Any, **kwargs: Any) -> Any:  # noqa: ANN401, as the library's
-        if scheduler.present() is None:
+        if scheduler.current is None or get_ident() != scheduler.thread:
             return real(*args, **kwargs)
         return simulated(*args, **kwargs)
 
@@ -321,7 +323,7 @@ class SimulatedLock:
             self._waiting.remove(task)
         return False
 
-    def release(self) -> None:
+    def release(self, *_: object) -> None:
         """Give it back, to the task that has waited longest."""
         if not self._is_locked:
             raise RuntimeError("release unlocked lock")
@@ -337,9 +339,7 @@ class SimulatedLock:
         return self._is_locked
 
     __enter__ = acquire
-
-    def __exit__(self, *_: object) -> None:
-        self.release()
+    __exit__ = release
 
     def _give_way(self) -> None:
         scheduler = self._scheduler
@@ -365,7 +365,7 @@ class SimulatedRLock(SimulatedLock):
             self._owner, self._count = self._scheduler.current, 1
         return is_taken
 
-    def release(self) -> None:
+    def release(self, *_: object) -> None:
         """Give it back, when that was done as often as it was taken."""
         if not self._count or not self._is_owned():
             raise RuntimeError("cannot release un-acquired lock")
@@ -375,6 +375,7 @@ class SimulatedRLock(SimulatedLock):
             super().release()
 
     __enter__ = acquire
+    __exit__ = release
 
     def _is_owned(self) -> bool:
         return self._owner is self._scheduler.current

@@ -45,9 +45,9 @@ def _computers(situation: Situation) -> Iterator[Values]:
             used=load.used if load else 0.0,
             background=load.background if load else 0.0,
             full=load is not None and load.is_full,
-            starved=max((each.estimate.starved for each in here), default=0.0),
+            starved=max([each.estimate.starved for each in here], default=0.0),
             late=late[computer.name],
-            drifted=sum(each.estimate.drift is not None for each in here),
+            drifted=sum([each.estimate.drift is not None for each in here]),
             short=shortages[computer.name],
             culprit=culprit_on(load, running)
             or "nothing takes more than was expected there",

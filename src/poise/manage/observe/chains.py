@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from itertools import pairwise
+from operator import itemgetter
 
 from msgspec import Struct
 
@@ -79,18 +80,22 @@ class ChainAge(Struct, frozen=True, kw_only=True):
     @property
     def slowest(self) -> str:
         """The component to which the data takes longest."""
-        return max(self.steps(), key=lambda step: step[2])[1]
+        return max(self.steps(), key=itemgetter(2))[1]
 
-    def steps(self) -> Iterator[tuple[str, str, float]]:
-        """Yield how long data takes from each component's use to the next one's [s]."""
-        for (one, began), (next_, ended) in pairwise(self.ages.items()):
-            yield one, next_, max(0.0, ended - began)
+    def steps(self) -> list[tuple[str, str, float]]:
+        """Return how long data takes from each component's use to the next's [s]."""
+        return [
+            (one, next_, max(0.0, ended - began))
+            for (one, began), (next_, ended) in pairwise(self.ages.items())
+        ]
 
     def __str__(self) -> str:
         """Return which step takes how long, for people."""
         return ", ".join(
-            f"{one} -> {next_} {format_seconds(seconds)}"
-            for one, next_, seconds in self.steps()
+            [
+                f"{one} -> {next_} {format_seconds(seconds)}"
+                for one, next_, seconds in self.steps()
+            ]
         )
 
 

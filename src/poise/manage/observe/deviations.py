@@ -223,6 +223,10 @@ class FaultFilter:
                 yield fault_sentence(computer, fault) + more, fault
         self._known = {**self._known, **last_numbers(statuses)}
 
+    def has_open(self) -> bool:
+        """Return whether some fault is not over."""
+        return any(not faults.is_over for faults in self._of.values())
+
     def close(self, computer: str, container: str) -> bool:
         """Take a container's last fault for over; return whether to report that."""
         known = self._of.get((computer, container))

@@ -124,7 +124,7 @@ class Loads:
 
 def _used(container: ContainerSample) -> float:
     """Return a container's CPU time, with that of the commands that it runs [s]."""
-    return max(container.cpu, sum(component.cpu for component in container.components))
+    return max(container.cpu, sum([c.cpu for c in container.components]))
 
 
 _COUNT_OVER = 2.0

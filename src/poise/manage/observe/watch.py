@@ -110,6 +110,8 @@ class Watch:
 
     def _note_recoveries(self, statuses: Statuses) -> None:
         """Journal which containers run as they should again after a fault."""
+        if not self._faults.has_open():
+            return
         live = self._live
         deviating = {
             live.layout.container_of(live.placed[deviation.component])

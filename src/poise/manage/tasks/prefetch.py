@@ -295,6 +295,9 @@ class Prefetcher:
     def _note_ready(self) -> None:
         """Journal what is ready now, and count what was dropped that never worked."""
         live = self._live
+        if not self._begun and not live.prefetched:
+            self._memory = {}
+            return
         here = {idle.key for idle in live.prefetched.values()}
         at_work = {incarnation.key for incarnation in live.placed.values()}
         used = {
