@@ -58,11 +58,21 @@ def test_writes_and_removes_a_unit(poise: Poise, tmp_path: Path) -> None:
     assert "nothing is installed" in again.stderr
 
 
-def test_an_unknown_address_is_refused(poise: Poise, tmp_path: Path) -> None:
-    words = ("agent", "install", "left", "--robot", "hello", "--address", "left.local")
+@pytest.mark.parametrize(
+    ("address", "says"),
+    [
+        ("left.local", "give an IP address"),
+        ("0.0.0.0", "no other computer reaches this one by it"),
+        ("::", "no other computer reaches this one by it"),
+    ],
+)
+def test_an_unknown_address_is_refused(
+    poise: Poise, tmp_path: Path, address: str, says: str
+) -> None:
+    words = ("agent", "install", "left", "--robot", "hello", "--address", address)
     done = poise(*words, "--unit-folder", tmp_path)
     assert done.returncode == 2
-    assert "give an IP address" in done.stderr
+    assert says in done.stderr
     assert not [*tmp_path.iterdir()]
 
 

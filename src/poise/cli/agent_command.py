@@ -252,6 +252,11 @@ def check_ip(address: str) -> None:
             f"--address {address}: give an IP address of this computer, without "
             "brackets or port, as in 10.0.0.1 or fd00::1; --port gives the port"
         )
+    if ip_address(address).is_unspecified:
+        raise UsageError(
+            f"--address {address}: no other computer reaches this one by it; give the "
+            "address that the robot file has, as in 10.0.0.1 or fd00::1"
+        )
 
 
 def standby_command(
