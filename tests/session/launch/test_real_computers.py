@@ -33,6 +33,19 @@ def test_with_keys_they_are_reached_by_tls() -> None:
     assert credentials.role == "manager"
 
 
+def test_who_may_only_look_finds_them_to_look(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    folder = tmp_path / "eve"
+    init_keys("hello").issue("eve", "viewer", folder)
+    monkeypatch.setenv(KEYS, str(folder))
+    found = real_agents(robot("10.0.0.1"), "viewer").credentials()
+    assert found is not None
+    assert found.role == "viewer"
+    with pytest.raises(UsageError, match="of viewer eve: they must be of manager"):
+        real_agents(robot("10.0.0.1"))
+
+
 def test_without_keys_who_is_reachable_is_not_commanded() -> None:
     with pytest.raises(UsageError, match="no keys for robot 'hello'") as refused:
         real_agents(robot("10.0.0.1"))

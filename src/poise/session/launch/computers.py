@@ -41,7 +41,7 @@ from poise.wire.control_session import (
     endpoint_of,
     locator,
 )
-from poise.wire.credentials import Credentials, find
+from poise.wire.credentials import Credentials, Role, find
 from poise.wire.records.status_records import SAMPLE_EVERY
 from poise.wire.robots_here import AgentAddresses, forget
 
@@ -356,8 +356,10 @@ def _kept(robot: Robot, kept: EmulatedSet, say: Say) -> Iterator[Computers]:
             computer.end_started()
 
 
-def real_agents(robot: Robot) -> AgentAddresses:
+def real_agents(robot: Robot, *also: Role) -> AgentAddresses:
     """Return where the agents of a robot's own computers are, and the keys for them.
+
+    `also`: roles that will do beside that of a manager.
 
     Raises
     ------
@@ -365,7 +367,7 @@ def real_agents(robot: Robot) -> AgentAddresses:
         There are no keys for computers that others can reach, too.
     """
     where = {c.name: Endpoint.parse(c.address) for c in robot.computers if c.address}
-    keys = None if robot.insecure else find(robot.name, "manager")
+    keys = None if robot.insecure else find(robot.name, "manager", *also)
     if keys is None and not robot.insecure:
         _raise_if_reachable(robot.name, where)
     endpoints = {name: locator(at, keys) for name, at in where.items()}

@@ -15,6 +15,7 @@ from poise.model.robot import Robot
 from poise.session.arguments import check_robot
 from poise.session.launch.computers import emulated_addresses, real_agents
 from poise.wire.control_session import endpoint_of
+from poise.wire.credentials import Role
 from poise.wire.records.deployment_records import Deployment
 from poise.wire.robots_here import AgentAddresses, forget
 
@@ -32,7 +33,7 @@ def status_without_manager(robot: Robot) -> RobotStatus:
     RunError
         No agent says that something runs.
     """
-    addresses = _addresses(robot)
+    addresses = _addresses(robot, "viewer")
     status = ask_agents(addresses)
     if status is None:
         places = ", ".join(str(endpoint_of(e)) for e in addresses.endpoints.values())
@@ -94,11 +95,14 @@ def _end_all(agents: Agents, computers: set[str]) -> list[str]:
     return new_faults(before, agents.statuses())
 
 
-def _addresses(robot: Robot) -> AgentAddresses:
-    """Return where a robot's agents are, by its file or on computers kept for it."""
+def _addresses(robot: Robot, *also: Role) -> AgentAddresses:
+    """Return where a robot's agents are, by its file or on computers kept for it.
+
+    `also`: as in `real_agents`.
+    """
     check_robot(robot)
     if any(computer.address for computer in robot.computers):
-        return real_agents(robot)
+        return real_agents(robot, *also)
     kept = set_for(robot)
     if kept is None:
         raise UsageError(
