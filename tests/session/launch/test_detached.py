@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import stat
 import subprocess
 from pathlib import Path
 
@@ -59,6 +60,13 @@ def test_a_log_that_cannot_be_written_is_named_with_what_to_do(
         "log of .*: choose another folder by XDG_STATE_HOME",
     ):
         up_detached(ROBOT, Path("robot.yaml"), ["up"], print, lambda: None)
+
+
+def test_nobody_else_reads_what_components_print(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    assert stat.S_IMODE(detached._log("twice").stat().st_mode) == 0o600
 
 
 @pytest.mark.slow

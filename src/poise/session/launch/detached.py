@@ -92,7 +92,7 @@ def _log(name: str) -> Path:
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.exists() and path.stat().st_size > _LARGE_LOG:
             path.rename(path.with_suffix(".before.log"))
-        path.touch()
+        path.touch(0o600)  # what components print is this user's alone
     except OSError as error:
         raise UsageError(
             f"{path} cannot be written: {error.strerror}. It is the log of a process "
