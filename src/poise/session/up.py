@@ -228,7 +228,7 @@ def up(  # noqa: PLR0913 - each is a choice of the user
             )
         )
         if send is not None and otel is not None:
-            sender = send(robot.name, manager.status, otel)
+            sender = send(robot.name, manager.status, otel, say)
             stack.callback(sender.close)
         running = stack.enter_context(Up(it, manager))
         server.start(manager.submit)

@@ -19,6 +19,7 @@ from poise.wire.records.status_records import (
     Summary,
 )
 from tests.manage.observe.conftest import Sampler, status_of
+from tests.waiting import wait_until
 
 pytest.importorskip("opentelemetry.sdk")
 
@@ -56,6 +57,7 @@ class Collector:
     def __init__(self) -> None:
         self.requests: list[Any] = []
         self.came = threading.Event()
+        self.answer = 200
         collector = self
 
         class Handler(BaseHTTPRequestHandler):
@@ -68,7 +70,7 @@ class Collector:
                 request.ParseFromString(body)
                 collector.requests.append(request)
                 collector.came.set()
-                self.send_response(200)
+                self.send_response(collector.answer)
                 self.send_header("Content-Type", "application/x-protobuf")
                 self.send_header("Content-Length", "0")
                 self.end_headers()
@@ -124,7 +126,7 @@ def test_a_collector_gets_what_prometheus_gets(
     collector: Collector, estimates: Estimates
 ) -> None:
     telemetry = Telemetry(
-        "r", lambda: status_of(estimates, STATUSES), collector.url, 0.1
+        "r", lambda: status_of(estimates, STATUSES), collector.url, print, 0.1
     )
     try:
         assert collector.came.wait(LIMIT)
@@ -162,7 +164,11 @@ def test_what_is_left_goes_out_at_the_end(
     collector: Collector, estimates: Estimates
 ) -> None:
     telemetry = Telemetry(
-        "r", lambda: status_of(estimates, {}), f"{collector.url}/v1/metrics", 3600.0
+        "r",
+        lambda: status_of(estimates, {}),
+        f"{collector.url}/v1/metrics",
+        print,
+        3600.0,
     )
     telemetry.close()
     assert "poise_component_cpu_cores" in points(collector.requests[-1])
@@ -173,7 +179,30 @@ def test_a_collector_that_is_away_is_no_error(
     collector: Collector, estimates: Estimates
 ) -> None:
     away = Telemetry(
-        "r", lambda: status_of(estimates, {}), "http://127.0.0.1:9", 3600.0
+        "r", lambda: status_of(estimates, {}), "http://127.0.0.1:9", print, 3600.0
     )
     away.close()
     assert collector.requests == []
+
+
+@pytest.mark.slow
+def test_a_collector_that_refuses_is_said_once_and_so_is_its_return(
+    collector: Collector, estimates: Estimates, caplog: pytest.LogCaptureFixture
+) -> None:
+    said: list[str] = []
+    collector.answer = 500
+    telemetry = Telemetry(
+        "r", lambda: status_of(estimates, {}), collector.url, said.append, 0.05
+    )
+    try:
+        wait_until(lambda: len(collector.requests) > 3)
+        collector.answer = 200
+        wait_until(lambda: len(said) > 1)
+    finally:
+        telemetry.close()
+    url = f"{collector.url}/v1/metrics"
+    away, back = said
+    assert away.startswith(f"metrics do not reach {url}, which is tried again: ")
+    assert "500" in away
+    assert back == f"metrics reach {url} again"
+    assert caplog.messages == []

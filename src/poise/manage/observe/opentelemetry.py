@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import logging
+import threading
 from collections.abc import Callable
 from functools import partial
 
 from opentelemetry.exporter.otlp.proto.http.metric_exporter import OTLPMetricExporter
 from opentelemetry.metrics import CallbackOptions, Observation
 from opentelemetry.sdk.metrics import MeterProvider
-from opentelemetry.sdk.metrics.export import PeriodicExportingMetricReader
+from opentelemetry.sdk.metrics.export import (
+    MetricExportResult,
+    MetricsData,
+    PeriodicExportingMetricReader,
+)
 from opentelemetry.sdk.resources import Resource
 
 from poise.manage.control_socket.commands import RobotStatus
@@ -17,6 +23,7 @@ from poise.manage.observe.metrics import METRICS, kind_of, samples
 EVERY = 5.0
 """Metrics go out so often [s]."""
 _LIMIT = 2.0
+_LOGGER = logging.getLogger(OTLPMetricExporter.__module__)
 _PATH = "/v1/metrics"
 _UNITS = {"cores": "{core}", "share": "1", "bytes": "By", "seconds": "s"}
 
@@ -27,6 +34,7 @@ class Telemetry:
     Names and labels are those that Prometheus gets.
 
     `status`: returns the last known state; any thread may call it.
+    `say`: told once that metrics do not get out, and once that they do again.
     """
 
     def __init__(
@@ -34,13 +42,14 @@ class Telemetry:
         robot: str,
         status: Callable[[], RobotStatus],
         endpoint: str,
+        say: Callable[[str], object],
         every: float = EVERY,  # [s]; > 0
     ) -> None:
         url = endpoint.rstrip("/").removesuffix(_PATH) + _PATH
         self._provider = MeterProvider(
             metric_readers=[
                 PeriodicExportingMetricReader(
-                    OTLPMetricExporter(endpoint=url, timeout=_LIMIT),
+                    _Exporter(url, say),
                     export_interval_millis=1000 * every,
                     export_timeout_millis=1000 * _LIMIT,
                 )
@@ -72,6 +81,43 @@ class Telemetry:
             if name == metric
         }
         return list(found.values())
+
+
+class _Exporter(OTLPMetricExporter):  # type: ignore[misc]  # it has no types
+    """Says what OpenTelemetry logs of each failure, at the first of a series only."""
+
+    def __init__(self, url: str, say: Callable[[str], object]) -> None:
+        super().__init__(endpoint=url, timeout=_LIMIT)
+        self._url = url
+        self._say = say
+        self._is_away = False
+        self._why = ""
+
+    def export(
+        self, metrics_data: MetricsData, *args: object, **kwargs: object
+    ) -> MetricExportResult:
+        self._why = ""
+        _LOGGER.addFilter(self._take)
+        try:
+            result = super().export(metrics_data, *args, **kwargs)
+        finally:
+            _LOGGER.removeFilter(self._take)
+        is_away = result is not MetricExportResult.SUCCESS
+        if is_away and not self._is_away:
+            self._say(
+                f"metrics do not reach {self._url}, which is tried again: {self._why}"
+            )
+        elif self._is_away and not is_away:
+            self._say(f"metrics reach {self._url} again")
+        self._is_away = is_away
+        return result
+
+    def _take(self, record: logging.LogRecord) -> bool:
+        """Keep what OpenTelemetry says of this export, so that nobody else gets it."""
+        if record.thread != threading.get_ident():
+            return True
+        self._why = self._why or record.getMessage()
+        return False
 
 
 def _unit(name: str) -> str:
