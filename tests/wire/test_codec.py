@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from poise.runtime.component.ports import Message
-from poise.wire.codec import WireError, codec
+from poise.wire.codec import WireError, codec, pack, unpack
 
 
 class Ranges(Message, frozen=True):
@@ -119,6 +119,31 @@ def test_a_list_is_not_an_array() -> None:
     body = msgspec.msgpack.encode({"stamp": 1.0, "ranges": [1.0]})
     with pytest.raises(WireError, match="not Ranges: a list, not an array"):
         codec(Ranges).decode(body, memoryview(b""))
+
+
+@pytest.mark.parametrize(
+    ("values", "held"),
+    [
+        ([1.5], np.uint8),
+        ([2], np.bool_),
+        (["7"], np.int64),
+        ([True, 0.5], np.int32),
+        ([400], np.uint8),
+    ],
+)
+def test_plain_data_becomes_no_other_numbers(values: list[Any], held: type) -> None:
+    with pytest.raises(WireError, match=r"are no array of|out of bounds"):
+        unpack(pack(values), np.ndarray[Any, np.dtype[held]])  # type: ignore[valid-type]
+
+
+@pytest.mark.parametrize(
+    ("values", "held"),
+    [([1, 2], np.uint8), ([1, 2.5], np.float32), ([], np.uint8), (3, np.float64)],
+)
+def test_plain_data_that_fits_becomes_an_array(values: Any, held: type) -> None:
+    array = unpack(pack(values), np.ndarray[Any, np.dtype[held]])  # type: ignore[valid-type]
+    assert array.dtype == held
+    np.testing.assert_array_equal(array, np.asarray(values))
 
 
 def decoded_array(dtype: str, shape: tuple[int, ...], offset: int) -> Any:

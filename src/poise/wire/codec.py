@@ -35,6 +35,8 @@ _LONGEST_HEADER = 1 << 10
 """What stands for an array is shorter, with as many sides as NumPy has [bytes]."""
 _DTYPE = re.compile(r"[<>|][biufcSUmM]\d{1,9}(\[\d*\w{1,2}\])?")
 """What arrays may hold, in NumPy's letters: no objects, and no records."""
+_NUMBERS = "biufc"
+"""Letters of NumPy's kinds of numbers: each holds what those before it hold."""
 _UNFIT = (TypeError, ValueError, OverflowError, RecursionError)
 """What reading or writing a value raises that is too large, too deep or malformed."""
 MALFORMED = (msgspec.DecodeError, *_UNFIT)
@@ -141,12 +143,21 @@ def unpack(packed: Packed, type_: Any = Any) -> Any:  # noqa: ANN401, any type
 
 
 def _array_of(type_: Any, value: Any) -> Any:  # noqa: ANN401, msgspec's hook
-    np = _numpy()
     if isinstance(value, dict) and value.keys() == {"dtype", "shape", "data"}:
         value = _recorded_array(value)
     if isinstance(value, list | int | float | bool):
-        value = np.asarray(value, *_declared(type_)[:1])
+        value = _array_from_list(value, *_declared(type_)[:1])
     return _check(type_, value)
+
+
+def _array_from_list(value: object, wanted: type | None = None) -> np.ndarray:
+    """Return an array of plain data; ValueError when numbers would become others."""
+    as_array = _numpy().asarray
+    array: np.ndarray = as_array(value, wanted)
+    given, held = as_array(value).dtype, _NUMBERS.find(array.dtype.kind)
+    if array.size and held >= 0 and given.kind not in f"{_NUMBERS[: held + 1]}O":
+        raise ValueError(f"values of {given} are no array of {array.dtype}")
+    return array
 
 
 def _recorded_array(value: dict[str, Any]) -> np.ndarray:
