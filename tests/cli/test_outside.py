@@ -18,7 +18,7 @@ import pytest
 import poise as api
 from poise.cli import outside_command
 from poise.emulate import probe_host
-from poise.errors import CalleeError, RunError, Timeout, UsageError
+from poise.errors import CalleeError, CannotCross, RunError, Timeout, UsageError
 from tests.command import Poise, robot_up, run_poise
 from tests.view.test_robot_recording import read
 from tests.waiting import wait_long
@@ -53,6 +53,8 @@ class Sums(Protocol):
 
     def sleep(self, seconds: float) -> None: ...
 
+    def grow(self, size: int) -> bytes: ...
+
     @oneway
     def note(self, value: int) -> None: ...
 
@@ -85,6 +87,10 @@ class Summer(Component):
 
     def sleep(self, seconds: float) -> None:
         time.sleep(seconds)
+
+    def grow(self, size: int) -> bytes:
+        self.sum += 1
+        return bytes(size) if size else object()
 
     def note(self, value: int) -> None:
         self.sum += value
@@ -421,6 +427,21 @@ def test_errors_are_those_of_calls_between_components(robot: api.Running) -> Non
         summer.call("sums", "sleep", 1.0, limit=0.1)
     with pytest.raises(UsageError, match="returned no dict: Expected"):
         summer.call("sums", "total", returns=dict)
+
+
+@pytest.mark.parametrize(
+    ("size", "why"), [(17_000_000, r"has 170000\d\d B, over 16777216 B"), (0, "object")]
+)
+def test_a_call_whose_result_cannot_leave_was_made(
+    robot: api.Running, poise: Poise, size: int, why: str
+) -> None:
+    summer = robot.component("summer")
+    before = summer.call("sums", "total", limit=10.0)
+    with pytest.raises(CannotCross, match=f"it was called, but its result .*{why}"):
+        summer.call("sums", "grow", size, limit=10.0)
+    assert summer.call("sums", "total", limit=10.0) == before + 1
+    done = poise("call", "summer.sums", "grow", str(size), "--robot", NAME)
+    assert done.returncode == 1, done.stderr
 
 
 def test_parameters_are_kept_through_moves_and_restarts(

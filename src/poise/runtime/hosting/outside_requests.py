@@ -104,7 +104,7 @@ class OutsideRequests:
     def _outcome(self, request: PortRequest, until: float) -> PortAnswer:
         number = request.number
         try:
-            value = pack(self._done(request, until))
+            result = self._done(request, until)
         except CalleeError as error:
             return PortAnswer(
                 number=number,
@@ -120,10 +120,7 @@ class OutsideRequests:
         except PoiseError as error:
             why = encodable(str(error))  # a user's hook may raise one, too
             return PortAnswer(number=number, outcome="refused", reason=why)
-        if value.size > MOST_PACKED:
-            why = f"the result has {value.size} B, over {MOST_PACKED} B"
-            return PortAnswer(number=number, outcome="refused", reason=why)
-        return PortAnswer(number=number, outcome="done", value=value)
+        return _done_with(number, result)
 
     def _done(self, request: PortRequest, until: float) -> Any:  # noqa: ANN401, a result
         write_as(request.component)
@@ -181,6 +178,19 @@ class OutsideRequests:
                 raise Timeout(f"port '{port.name}' has no room")
             time.sleep(_LOOK_EVERY)
         _inside(runner, until, lambda: feed.put(entry))
+
+
+def _done_with(number: int, result: object) -> PortAnswer:
+    """Return what says that a request was carried out, with its result."""
+    try:
+        value = pack(result)
+    except WireError as error:
+        why = encodable(f"it was called, but its result is lost: {error}")
+        return PortAnswer(number=number, outcome="cannot cross", reason=why)
+    if value.size > MOST_PACKED:
+        why = f"it was called, but its result has {value.size} B, over {MOST_PACKED} B"
+        return PortAnswer(number=number, outcome="cannot cross", reason=why)
+    return PortAnswer(number=number, outcome="done", value=value)
 
 
 def _inside(runner: Runner, until: float, do: Callable[[], object]) -> None:

@@ -13,7 +13,14 @@ import yaml
 from msgspec import structs
 
 from poise.decoding import convert, from_json
-from poise.errors import CalleeError, PoiseError, RunError, Timeout, UsageError
+from poise.errors import (
+    CalleeError,
+    CannotCross,
+    PoiseError,
+    RunError,
+    Timeout,
+    UsageError,
+)
 from poise.manage.control_socket.commands import (
     ParametersCommand,
     PortCommand,
@@ -97,6 +104,8 @@ class RunningComponent:
         ------
         CalleeError
             The method raised.
+        CannotCross
+            It was called, and its result is not plain data, or too large.
         Timeout
             There was no answer in time; the method may still run.
         """
@@ -251,6 +260,8 @@ class RunningComponent:
                 raise CalleeError(answer.error_type, answer.reason, answer.traceback)
             case "late":
                 raise Timeout(f"'{self.name}.{port}': {answer.reason}")
+            case "cannot cross":
+                raise CannotCross(f"'{self.name}.{port}': {answer.reason}")
             case "refused":
                 raise UsageError(answer.reason)
         return answer

@@ -213,12 +213,13 @@ class PortRequest(Struct, frozen=True, tag=True, kw_only=True):
 class PortAnswer(Struct, frozen=True, tag=True, kw_only=True):
     """What came of a request; only ``done`` has a `value`.
 
-    It was ``raised`` by the callee, ``refused`` as it does not fit, ``late``, or the
-    component is ``away``: then nothing was done, and it may be asked at another place.
+    It was ``raised`` by the callee, ``refused`` as it does not fit, ``late``, or done
+    with a result that ``cannot cross``. Or the component is ``away``: then nothing was
+    done, and it may be asked at another place.
     """
 
     number: int
-    outcome: Literal["done", "raised", "refused", "late", "away"]
+    outcome: Literal["done", "raised", "refused", "late", "cannot cross", "away"]
     value: Packed = Packed(b"\xc0")
     reason: str = ""
     error_type: str = ""
