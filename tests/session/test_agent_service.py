@@ -58,6 +58,22 @@ def test_writes_and_removes_a_unit(poise: Poise, tmp_path: Path) -> None:
     assert "nothing is installed" in again.stderr
 
 
+def test_the_unit_of_another_robot_is_left_alone(poise: Poise, tmp_path: Path) -> None:
+    place = ("--address", "127.0.0.1", "--unit-folder", tmp_path)
+    mine, other = ("c", "--robot", "a-b"), ("b-c", "--robot", "a")
+    assert poise("agent", "install", *mine, *place).returncode == 0
+    (unit,) = tmp_path.iterdir()
+    text = unit.read_text()
+    for done in (
+        poise("agent", "install", *other, *place),
+        poise("agent", "uninstall", *other, *place[2:]),
+    ):
+        assert done.returncode == 2
+        assert f"{unit} is not of computer 'b-c' of robot 'a'" in done.stderr
+    assert unit.read_text() == text
+    assert poise("agent", "install", *mine, *place).returncode == 0
+
+
 @pytest.mark.parametrize(
     ("address", "says"),
     [

@@ -18,7 +18,7 @@ _LIMIT = 60.0
 _UNIT = """\
 # `poise agent install` wrote this, and `poise agent uninstall` removes it.
 [Unit]
-Description=Poise agent of computer {computer} of robot {robot}
+Description={description}
 Documentation=man:systemd.service(5)
 Wants=network-online.target
 After=network-online.target
@@ -66,6 +66,7 @@ class AgentService:
     ) -> None:
         self.robot, self.computer, self._is_users = robot, computer, is_users
         self.name = f"poise-{robot}-{computer}.service"
+        self._description = f"Poise agent of computer {computer} of robot {robot}"
         self._is_elsewhere = folder is not None
         self.path = (folder or _folder(is_users=is_users)) / self.name
 
@@ -75,7 +76,7 @@ class AgentService:
         words = [sys.executable, "-m", "poise", "agent", self.computer, *arguments]
         return _UNIT.format(
             computer=self.computer,
-            robot=self.robot,
+            description=self._description,
             rights=_RIGHTS if run_as else "",
             command=shlex.join(words).replace("%", "%%").replace("$", "$$"),
             target="default.target" if self._is_users else "multi-user.target",
@@ -84,6 +85,7 @@ class AgentService:
     def install(self, text: str) -> bool:
         """Write the unit and start it, now and at each boot; False: no systemd runs."""
         try:
+            self._raise_if_anothers()
             self.path.parent.mkdir(parents=True, exist_ok=True)
             written = self.path.with_suffix(".new")
             written.write_text(text)
@@ -98,9 +100,19 @@ class AgentService:
         """Stop it, and remove the unit; False: no systemd runs."""
         if not self.path.exists():
             raise UsageError(f"there is no {self.path}: nothing is installed")
+        self._raise_if_anothers()
         is_told = self._tell(["disable", "--now", self.name])
         self.path.unlink()
         return is_told and self._tell(["daemon-reload"])
+
+    def _raise_if_anothers(self) -> None:
+        """Raise UsageError if the unit is of robot ``a``, and this one is ``a-b``."""
+        lines = self.path.read_text().splitlines() if self.path.exists() else ()
+        if lines and f"Description={self._description}" not in lines:
+            raise UsageError(
+                f"{self.path} is not of computer '{self.computer}' of robot "
+                f"'{self.robot}', but has the same name: choose another robot's name"
+            )
 
     def _tell(self, *commands: Sequence[str]) -> bool:
         if self._is_elsewhere or not _runs(is_users=self._is_users):
