@@ -189,7 +189,7 @@ def test_only_signed_heartbeats_are_received(guarded: Guarded) -> None:
         assert receiver.receive(clock.now() + 0.2) == []
         friend.send(_beat("friend"), [(where.host, where.port)])
         (received,) = receiver.receive(clock.now() + LIMIT)
-        assert received.beat.sender == "friend"
+        assert received[0].sender == "friend"
 
 
 def _connect(guarded: Guarded, silent: list[socket.socket]) -> None:

@@ -92,11 +92,15 @@ _FIRST_FREE = 32768
 
 
 class Addresses:
-    """The IP addresses of a robot's computers, and who receives datagrams where."""
+    """The IP addresses of a robot's computers, and who receives datagrams where.
+
+    `bound`: returns what receives at an address; None: nothing does.
+    """
 
     def __init__(self) -> None:
         self._hosts: dict[str, str] = {}
         self._bound: dict[Address, SimulatedDatagrams] = {}
+        self.bound = self._bound.get
         self._free = _FIRST_FREE
 
     def add(self, computer: str) -> str:
@@ -112,10 +116,6 @@ class Addresses:
     def computer_at(self, address: Address) -> str | None:
         """Return the computer with an address; None: there is none."""
         return self._hosts.get(address[0])
-
-    def bound(self, address: Address) -> SimulatedDatagrams | None:
-        """Return what receives at an address."""
-        return self._bound.get(address)
 
     def bind(self, to: SimulatedDatagrams, host: str, port: int | None) -> Address:
         """Let something receive at a port; None: at a free one."""
@@ -180,7 +180,7 @@ class SimulatedDatagrams:
         waiting.sort()  # by moment, and by number: no two have the same
         come = bisect_right(waiting, now, key=itemgetter(0))
         received = [
-            Received(beat, source, own_now - min(now - at, ago))
+            (beat, source, own_now - min(now - at, ago))
             for at, _, beat, source in waiting[:come]
         ]
         del waiting[:come]

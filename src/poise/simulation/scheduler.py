@@ -11,6 +11,7 @@ from collections.abc import Callable
 from functools import partial
 from hashlib import blake2b
 from heapq import heappop, heappush
+from itertools import count
 from math import inf
 from threading import get_ident
 from typing import TYPE_CHECKING, Any
@@ -86,6 +87,7 @@ class Scheduler:
     `now`: the present moment [s]; the run begins at 0.
     `current`: the task that runs; None: the simulated world does.
     `thread`: on which it runs: on another one, no task does.
+    `number`: returns a number that nothing else of this run has.
     `steps`: how often a task ran until it waited.
     `on_step`: called after each step.
     `locks_left`: so many free locks are taken until the task that takes one gives way.
@@ -100,7 +102,7 @@ class Scheduler:
         self.thread = get_ident()
         self.steps = 0
         self.on_step: Callable[[], object] = lambda: None
-        self._number = 0
+        self.number: Callable[[], int] = count(1).__next__
         self._ready: list[SimulatedTask] = []
         self._timers: list[SimulatedTimer] = []
         self._waiting: dict[int, SimulatedTask] = {}
@@ -113,11 +115,6 @@ class Scheduler:
         """Return a hash of all steps so far: equal runs have equal ones."""
         return self._trace.hexdigest()
 
-    def number(self) -> int:
-        """Return a number that nothing else of this run has."""
-        self._number += 1
-        return self._number
-
     def spawn(
         self, host: Process, name: str, work: Callable[[], object]
     ) -> SimulatedTask:
@@ -129,9 +126,7 @@ class Scheduler:
 
     def at(self, moment: float, action: Callable[[], object]) -> SimulatedTimer:
         """Let something happen in the simulated world at a moment [s]."""
-        self._number += 1
-        moment = max(moment, self.now)
-        timer = SimulatedTimer((moment, self._number, action))
+        timer = SimulatedTimer((max(moment, self.now), self.number(), action))
         heappush(self._timers, timer)
         return timer
 

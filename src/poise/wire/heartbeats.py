@@ -17,7 +17,7 @@ import socket
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import msgspec
 
@@ -122,6 +122,8 @@ class Contacts:
         self._sent: deque[float] = deque(maxlen=_WINDOW)
         self._contacts: dict[str, Contact] = {}
         self._ended: deque[tuple[str, str]] = deque(maxlen=_ENDED_STARTS)
+        self.was_revoked = False
+        """Whether any heartbeat has revoked a fencing token."""
 
     def note(self, beat: Heartbeat, now: float) -> bool:
         """Take in a heartbeat at `now` [s]; return whether it was news."""
@@ -137,6 +139,7 @@ class Contacts:
         elif beat.number <= contact.last.number:
             return False  # it was overtaken
         contact.note(beat, beat.heard.get(self.name), now)
+        self.was_revoked = self.was_revoked or bool(beat.revoked)
         return True
 
     def forget(self, name: str) -> None:
@@ -186,6 +189,14 @@ class Contacts:
         """Return what is known of another; None: it was never heard."""
         return self._contacts.get(name)
 
+    def unheard(self, now: float) -> list[str]:
+        """Return who was heard, and is not any more."""
+        return [
+            name
+            for name, contact in self._contacts.items()
+            if now - contact.heard_at > UNHEARD_AFTER
+        ]
+
     def unanswered_since(self, name: str) -> float:
         """Return when the first own heartbeat went out that another has not heard [s].
 
@@ -234,14 +245,8 @@ _WARN_EVERY = 10.0
 Address = tuple[str, int]
 
 
-class Received(NamedTuple):
-    """A heartbeat, where it came from, and when [s]."""
-
-    beat: Heartbeat
-    source: Address
-    at: float
-
-
+Received = tuple[Heartbeat, Address, float]
+"""A heartbeat, where it came from, and when [s]."""
 Hear = Callable[[Sequence[Received]], bool]
 """Takes in the heartbeats that came; returns whether to send one at once."""
 NextBeat = Callable[[], tuple[Heartbeat, float]]
@@ -304,8 +309,9 @@ class UdpDatagrams:
                 now = self._clock.now()
                 beat = self._read(data, source[0])
                 if beat is not None:
-                    received.append(Received(beat, source[:2], now))
-                    most = min(most, received[0].at + _READING)
+                    if not received:
+                        most = min(most, now + _READING)
+                    received.append((beat, source[:2], now))
             except (BlockingIOError, TimeoutError):
                 break
             except OSError:  # what an earlier datagram met on its way

@@ -11,15 +11,7 @@ from msgspec import structs
 from poise.runtime.agent.fence import Fence
 from poise.runtime.agent.heartbeat_exchange import HeartbeatExchange
 from poise.testing import VirtualClock
-from poise.wire.heartbeats import (
-    LEASE,
-    UNCUT_LEASE,
-    Address,
-    Contacts,
-    Hear,
-    NextBeat,
-    Received,
-)
+from poise.wire.heartbeats import LEASE, UNCUT_LEASE, Address, Contacts, Hear, NextBeat
 from poise.wire.records.heartbeat_records import MANAGER as THE_MANAGER
 from poise.wire.records.heartbeat_records import Echo, Heartbeat
 from poise.wire.records.request_records import Claim, Election, ManagerId, majority_at
@@ -167,7 +159,7 @@ def heard(
         managed=0.0,
         manager="k",
     )
-    rig.exchange._hear([Received(beat, ("127.0.0.1", 3), now)])
+    rig.exchange._hear([(beat, ("127.0.0.1", 3), now)])
 
 
 def test_a_manager_that_was_heard_a_moment_before_has_ended(rig: Rig) -> None:

@@ -239,6 +239,8 @@ class Lease:
 
     def is_revoked(self, computer: str, token: int) -> bool:
         """Return whether the manager or another agent revoked a token."""
+        if not self._contacts.was_revoked:
+            return False
         for name in (MANAGER, *self._others):
             side = self._contacts.get(name)
             revoked = side.last.revoked if side is not None else {}

@@ -359,12 +359,8 @@ class HeartbeatExchange:
         """Note which computers are lost, so far as can be known from here."""
         if now < self._grace_until or not self.is_leased:
             return  # it may not have been heard itself, or wait for CPU as others do
-        contacts = {name: self._contacts.get(name) for name in self._targets}
-        silent = frozenset(
-            name
-            for name, contact in contacts.items()
-            if name != MANAGER and contact and now - contact.heard_at > UNHEARD_AFTER
-        )
+        unheard = self._contacts.unheard(now)
+        silent = frozenset(n for n in unheard if n != MANAGER and n in self._targets)
         if silent != self.silent_computers:
             self.silent_computers = silent
             self._fence.wake()
