@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import resource
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -14,6 +16,16 @@ from poise.runtime.agent.standby_process import StandbyProcess
 from poise.wire.records.request_records import Claim, ManagerId
 
 MANAGER = ManagerId(key="k", user="u", host="h", pid=1, since=0.0)
+
+
+@contextlib.contextmanager
+def full_disk() -> Iterator[None]:
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 @pytest.mark.slow
@@ -49,13 +61,25 @@ def test_another_one_waits_though_the_disk_is_full_when_only_the_leader_changed(
     assert first is not None
     standby.lead()
     first.communicate()  # it led, and was killed
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1, before[1]))
-    try:
+    with full_disk():
         standby.keep(Claim(manager=replace(MANAGER, key="other")))
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
     second = standby._process
     assert second is not None
     assert second is not first
     second.communicate()
+
+
+@pytest.mark.slow
+def test_what_hinders_one_from_waiting_is_told_until_it_waits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(standby_process, "_COMMAND", ("sh", "-c", "read word"))
+    standby = StandbyProcess("left", tmp_path, None)
+    with full_disk():
+        standby.keep(Claim(manager=MANAGER))
+        assert "File too large" in standby.notice()
+    assert standby._process is None
+    standby.keep(Claim(manager=MANAGER))
+    assert standby.notice() == ""
+    assert standby._process is not None
+    standby._process.communicate()

@@ -36,6 +36,7 @@ class StandbyProcess:
         self._keys = keys.to_lead if keys is not None else None
         self._path = folder / "claim"
         self._kept: Claim | None = None
+        self._failure = ""
         self._written: tuple[object, object] | None = None
         self._process: subprocess.Popen[bytes] | None = None
 
@@ -44,15 +45,15 @@ class StandbyProcess:
         has_ended = self._process is not None and self._process.poll() is not None
         if claim == self._kept and not has_ended:
             return
-        self._kept = claim
+        self._kept, self._failure = claim, ""
         if claim is None or self.notice():
             self._tell(b"end\n")
             return
         try:
             self._wait_with(claim, has_ended=has_ended)
-        except OSError:
+        except OSError as error:
             self._kept = None  # it is tried again
-            raise
+            self._failure = f"no standby waits here: {error}; this is tried again"
 
     def _wait_with(self, claim: Claim, *, has_ended: bool) -> None:
         robot = claim.agents, claim.election  # all that a standby looks at
@@ -71,6 +72,8 @@ class StandbyProcess:
 
     def notice(self) -> str:
         """Return why none can lead from here that was asked to; empty: it could."""
+        if self._failure:
+            return self._failure
         if self._kept is None or self._keys is None or self._keys.is_dir():
             return ""
         return (
