@@ -1,7 +1,9 @@
 from pathlib import Path
 
+import pytest
 from msgspec.structs import replace
 
+from poise.errors import UsageError
 from poise.estimate.profiles import Profile, Store
 
 
@@ -26,3 +28,15 @@ def test_keeps_what_connectors_cost(tmp_path: Path, profile: Profile) -> None:
         store.add_costs("another", {})
     with Store(path) as store:
         assert store.latest_costs("r") == profile.costs
+
+
+def test_what_another_version_wrote_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "profiles.sqlite"
+    with Store(path) as store:
+        store._add("r", "profile", {"robot": "r"})
+        store._add("r", "costs", {"remote": [1]})
+    says = r"profiles\.sqlite cannot store .* another version of Poise .* remove it"
+    with pytest.raises(UsageError, match=says), Store(path) as store:
+        store.latest("r")
+    with pytest.raises(UsageError, match=says), Store(path) as store:
+        store.latest_costs("r")

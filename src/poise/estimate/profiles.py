@@ -40,8 +40,11 @@ class SqliteFile:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
         self._database.close()
+        # rows are read and decoded as they are used
+        if isinstance(error, sqlite3.Error | msgspec.MsgspecError):
+            raise self._broken(error) from error
 
     def execute(self, statement: str, *values: str | float) -> sqlite3.Cursor:
         """Carry a statement out; UsageError when that fails."""
@@ -52,8 +55,8 @@ class SqliteFile:
 
     def _broken(self, error: Exception) -> UsageError:
         return UsageError(
-            f"{self._path} cannot store {self._holds}: {error}. If it is damaged, "
-            "remove it: its content is lost then"
+            f"{self._path} cannot store {self._holds}: {error}. If it is damaged, or "
+            "another version of Poise wrote it, remove it: its content is lost then"
         )
 
 

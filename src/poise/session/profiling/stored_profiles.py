@@ -57,7 +57,8 @@ def store_of(robot: Robot) -> Store:
 
 def check_keepable(robot: Robot) -> None:
     """Raise UsageError when a result could not be written."""
-    with store_of(robot):
+    with store_of(robot) as store:
+        store.latest_costs(robot.name)  # they go into the result
         to_write(Path(robot.folder) / robot.profile if robot.profile else None)
 
 
