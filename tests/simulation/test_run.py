@@ -249,7 +249,7 @@ def test_robots_with_alternatives_pins_and_several_tasks_do_what_is_desired(
         ),
         *(
             pytest.param(seed, 120.0, marks=pytest.mark.exhaustive)
-            for seed in (2201, 2235, 2377)
+            for seed in (2201, 2235, 2377, 2692)
         ),
     ],
 )
@@ -266,6 +266,7 @@ def test_robots_on_which_all_is_tight_do_what_tasks_and_clients_want(
     counted as lost, and in 2235 what had crashed waited before it began again. In 2282
     one computer came back while another one was waited for, after its lease had been
     revoked: what ran there went on beside its successor. In 2377 somebody starts the
-    next manager with a task that a client had cancelled.
+    next manager with a task that a client had cancelled, and in 2692 an alternative
+    joined the robot while another one of its function started.
     """
     assert run(seed, seconds, "wild").message == ""

@@ -17,7 +17,7 @@ from poise.manage.deploy.lost_computers import LostComputers
 from poise.manage.deploy.reconciler import WITNESS_LIMIT
 from poise.manage.deploy.takeover import start_or_take_over
 from poise.manage.journal import Journal
-from poise.model.robot import Robot
+from poise.model.robot import Architecture, ComponentEntry, Robot
 from poise.testing import VirtualClock
 from poise.wire.records.deployment_records import Deployment, Goal
 from poise.wire.records.migration_records import StepsDone, StepsFailed
@@ -348,3 +348,21 @@ def test_what_an_earlier_manager_held_is_no_target_of_a_migration(robot: Robot) 
     assert {each.spec.goal for each in found} == {"active", "inactive"}
     counts = authoritative(found, robot)
     assert counts["thinker"].incarnation == THINKER
+
+
+@pytest.mark.parametrize("starts", [True, False])
+def test_what_another_architecture_of_its_function_takes_the_place_of_does_not_join(
+    robot: Robot, *, starts: bool
+) -> None:
+    """Also while that only starts."""
+    other = ComponentEntry(name="dreamer", implementation="mind:Dreamer")
+    dream = Architecture(name="dream", function="thinking", components=(other,))
+    robot = replace(robot, architectures=(*robot.architectures, dream))
+    new = Incarnation(component="dreamer", computer="left", goal="inactive", epoch=9)
+    placed = {"dreamer": new.with_goal("active")}
+    before = Desired(coming=(new,)) if starts else Desired(placed=placed)
+    layout = DeploymentLayout(robot, "/run", code_version=version_of)
+    found = found_in({"right": layout.specs([THINKER], 5, {})["right"]})
+    desired = joined_by(before, robot, found, {"left"}, set(), set())
+    assert desired.placed == before.placed
+    assert joined_by(Desired(), robot, found, {"left"}, set(), set()).placed

@@ -11,7 +11,7 @@ these computers, or a person says that it takes over.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Container, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from msgspec import Struct, structs
@@ -356,6 +356,15 @@ def where_held(
     }
 
 
+def _providers(robot: Robot, components: Container[str]) -> dict[str, str]:
+    """Return function -> the architecture of it that has one of some components."""
+    return {
+        architecture.function: architecture.name
+        for architecture in robot.architectures
+        if any(c.name in components for c in architecture.components)
+    }
+
+
 def joined_by(
     desired: Desired,
     robot: Robot,
@@ -367,8 +376,8 @@ def joined_by(
 ) -> Desired:
     """Return what should run when more computers are claimed.
 
-    What is at work there goes on there, unless this manager runs it, or another
-    architecture of its function. It is held there when a missing computer may run it,
+    What is at work there goes on there, unless this manager runs it, or runs or starts
+    another architecture of its function. It is held there when a missing computer may run it,
     as in `components_to_hold`. When none is missing that may run it, what is held is
     active again where it is.
 
@@ -377,11 +386,8 @@ def joined_by(
     """
     placed, held = dict(desired.placed), set(desired.held)
     parameters = dict(desired.parameters)
-    provider = {
-        a.function: a.name
-        for a in robot.architectures
-        if not placed.keys().isdisjoint(c.name for c in a.components)
-    }
+    coming = {incarnation.component for incarnation in desired.coming}
+    provider = {**_providers(robot, coming), **_providers(robot, placed)}
     homes = {c.name: a for a in robot.architectures for c in a.components}
     allowed = allowed_computers(robot)
     for reported in sorted(found, key=lambda f: f.spec.epoch):
