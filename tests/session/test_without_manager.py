@@ -126,6 +126,20 @@ def test_every_command_says_that_a_robot_runs_without_a_manager(file: Path) -> N
 
 
 @pytest.mark.usefixtures("file")
+def test_a_recording_ends_whole_and_says_that_there_is_no_manager(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("mcap", reason="mcap is not installed")
+    kill_manager()
+    monkeypatch.setattr("poise.view.robot_recording._PATIENCE", 0.5)
+    sentences: list[str] = []
+    with pytest.raises(poise.NoManager, match=f"^{SENTENCE}") as caught:
+        poise.record(tmp_path / "a.mcap", robot=NAME, say=sentences.append)
+    assert caught.value.status is not None
+    assert any("no answer" in each for each in sentences)
+
+
+@pytest.mark.usefixtures("file")
 def test_python_finds_it_too_and_its_errors_are_typed() -> None:
     before = kill_manager()
     running = poise.connect(NAME)

@@ -121,7 +121,8 @@ def record_command(
     manager decides, and the messages and calls of the connectors that are named. The
     robot does not wait for it: what finds no room is counted. It goes on with a new
     manager. The file is whole when this ends, also with an error: with code 1 when the
-    disk is full or the robot has ended, with 130 after Ctrl-C.
+    disk is full or the robot has ended, with 4 when it had no manager for 10 s, with
+    130 after Ctrl-C.
 
     Examples
     --------

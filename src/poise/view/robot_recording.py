@@ -23,6 +23,7 @@ from poise.session.arguments import check_names, check_path, check_type
 from poise.session.running_robots.running import (
     ChainReport,
     JournalEntry,
+    NoManager,
     Status,
     connect,
 )
@@ -66,7 +67,7 @@ _LOOK_EVERY = 0.25
 """Messages are fetched, and the robot is read, after these times [s]."""
 _READ_EVERY = 1.0
 _PATIENCE = 10.0
-"""A robot that gives no answer for so long has ended [s]."""
+"""A recording ends when no manager has answered for so long [s]."""
 _LEVELS = {"wrong": 3, "failed": 4}
 _INFO = 2
 
@@ -198,6 +199,8 @@ def record(  # noqa: PLR0913 - each is a choice of the user
     UsageError
         There is no such robot or connector, the file cannot be created, or the extra
         `record` is not installed.
+    NoManager
+        The robot goes on, and had no manager for 10 s.
     RunError
         The disk is full, or the robot has ended.
     """
@@ -286,6 +289,8 @@ class Recorder:
                 self._silent_since = now
                 say(f"no answer, waiting up to {_PATIENCE:g} s: {seen.trouble}")
             elif now - self._silent_since > _PATIENCE:
+                if not seen.is_old:  # its agents answer
+                    raise NoManager(seen.trouble, seen.status)
                 raise RunError(f"robot '{self.robot}' has ended: {seen.trouble}")
             return
         if self._silent_since is not None:
