@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from poise.manage.control_socket.commands import RobotStatus
 from poise.manage.observe.estimates import Estimates
 from poise.model.robot import Robot
 from poise.wire.records.status_records import (
@@ -157,6 +158,24 @@ def test_a_collector_gets_what_prometheus_gets(
     attributes = collector.requests[0].resource_metrics[0].resource.attributes
     names = {each.key: each.value.string_value for each in attributes}
     assert (names["service.name"], names["service.instance.id"]) == ("poise", "r")
+
+
+@pytest.mark.slow
+def test_a_robot_is_looked_at_once_for_all_its_metrics(
+    collector: Collector, estimates: Estimates
+) -> None:
+    looks: list[int] = []
+
+    def look() -> RobotStatus:
+        looks.append(1)
+        return status_of(estimates, STATUSES)
+
+    telemetry = Telemetry("r", look, collector.url, print, 0.1)
+    wait_until(lambda: len(collector.requests) > 2)
+    telemetry.close()
+    assert len(looks) == len(collector.requests)
+    for request in collector.requests:
+        assert points(request) == points(collector.requests[0])
 
 
 @pytest.mark.slow

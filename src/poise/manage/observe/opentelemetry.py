@@ -23,6 +23,7 @@ from poise.manage.observe.metrics import METRICS, kind_of, samples
 EVERY = 5.0
 """Metrics go out so often [s]."""
 _LIMIT = 2.0
+_FIRST = next(iter(METRICS))
 _LOGGER = logging.getLogger(OTLPMetricExporter.__module__)
 _PATH = "/v1/metrics"
 _UNITS = {"cores": "{core}", "share": "1", "bytes": "By", "seconds": "s"}
@@ -60,6 +61,7 @@ class Telemetry:
             shutdown_on_exit=False,
         )
         self._status = status
+        self._found: dict[tuple[object, ...], Observation] = {}
         meter = self._provider.get_meter("poise")
         for name, says in METRICS.items():
             # quantiles come from the connectors' ends: here they are gauges
@@ -75,12 +77,12 @@ class Telemetry:
         self._provider.shutdown(1000 * _LIMIT)
 
     def _observe(self, metric: str, _: CallbackOptions) -> list[Observation]:
-        found = {
-            tuple(labels.items()): Observation(value, labels)
-            for name, labels, value in samples(self._status())
-            if name == metric
-        }
-        return list(found.values())
+        if metric == _FIRST:  # the others are asked for after it, each time
+            self._found = {
+                (name, *labels.items()): Observation(value, labels)
+                for name, labels, value in samples(self._status())
+            }
+        return [seen for key, seen in self._found.items() if key[0] == metric]
 
 
 class _Exporter(OTLPMetricExporter):  # type: ignore[misc]  # it has no types
