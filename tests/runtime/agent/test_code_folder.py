@@ -255,6 +255,19 @@ def test_the_last_versions_and_those_in_use_stay(tmp_path: Path) -> None:
     assert not (tmp_path / versions[1]).exists()
 
 
+def test_a_version_that_is_deployed_again_is_the_last_one(tmp_path: Path) -> None:
+    folder = CodeFolder(tmp_path)
+    codes = [archive_of(("code/a.py", b"%d" % number)) for number in range(4)]
+    versions = [digest_of(code) for code in codes]
+    for number in range(3):
+        install(folder, codes[number])
+        os.utime(tmp_path / versions[number], (number, number))
+    assert ask(folder, InstallCode(versions[0])) == Accepted()
+    assert folder.versions()[0] == versions[0]
+    install(folder, codes[3])
+    assert set(folder.versions()) == {versions[0], versions[2], versions[3]}
+
+
 @pytest.fixture
 def small_disk(tmp_path: Path) -> Iterator[Path]:
     if os.getuid() != 0:

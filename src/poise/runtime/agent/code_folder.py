@@ -138,6 +138,8 @@ class CodeFolder:
     def _install(self, version: str) -> None:
         archive, new = self._whole(version), self._folder / f"{version}.new"
         if version in self._versions:
+            os.utime(self._folder / version)  # the last one, which stays longest
+            self._versions = self._look()
             return
         if not archive.exists():
             raise RunError(f"version {version[:SHOWN]} was not sent")

@@ -196,13 +196,13 @@ def deploy(robot: Robot, *, say: Say = log.info, check: Check = nothing) -> Depl
         sent, failures = {}, []
         for name in names:
             try:
-                if version in statuses[name].code:
-                    sent[name] = 0
-                else:
+                files = {}
+                if version not in statuses[name].code:
                     wheels = files_for(manifest, statuses[name].platform)
                     files = {d: path.read_bytes() for d, path in wheels.items()}
                     files[version] = archive
-                    sent[name] = _Sending(requests, name, files, check).send(version)
+                # also where it is: it is the last one deployed then
+                sent[name] = _Sending(requests, name, files, check).send(version)
             except RunError as error:
                 failures.append(str(error))
             else:
