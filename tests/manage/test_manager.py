@@ -355,3 +355,19 @@ def test_a_robot_that_is_being_stopped_says_so(
     managed.manager.submit(StopCommand())
     answer = managed.manager.submit(command).result(0.0)
     assert answer == Refusal("the robot is being stopped", "RunError")
+
+
+def test_what_is_being_changed_is_told_with_what_that_waits_for(
+    managed: Managed,
+) -> None:
+    """It stayed out of `status`, for as long as the change took."""
+    run = managed.run
+    new = run.begun("thinker", "left").with_goal("inactive")
+    managed.agents.states["thinker"] = CONFIGURING
+    run.commit(run.desired.aiming("stay", {"grabber"}).with_coming([new]), "a change")
+    [sentence] = managed.manager.status().under_way
+    names = "being started, moved or replaced: 'grabber', 'thinker'"
+    waits = "component 'thinker' on 'left' is unconfigured, not yet inactive"
+    assert sentence.startswith(f"{names}; {waits}")
+    run.commit(run.desired.aiming("active", {"grabber"}).with_coming([]), "it is over")
+    assert managed.manager.status().under_way == ()

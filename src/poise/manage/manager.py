@@ -200,6 +200,7 @@ class Manager:
             known,
             deviations=(*self._superseded(), *known.deviations, *self._deviations()),
             under_way=(
+                *self._watch.change(),
                 *(p.under_way() for _, p, _ in self._pending.copy()),
                 *self._canaries.under_way(),
                 *(self._stop_waits() if self.is_stopping else ()),

@@ -377,9 +377,9 @@ def joined_by(
     """Return what should run when more computers are claimed.
 
     What is at work there goes on there, unless this manager runs it, or runs or starts
-    another architecture of its function. It is held there when a missing computer may run it,
-    as in `components_to_hold`. When none is missing that may run it, what is held is
-    active again where it is.
+    another architecture of its function. It is held there when a missing computer may
+    run it, as in `components_to_hold`. When none is missing that may run it, what is
+    held is active again where it is.
 
     `doubted`: targets of half-done moves whose sources were not found; nobody said that
     they were committed.

@@ -312,6 +312,7 @@ class LiveRobot(DesiredState):
         """Wait until an incarnation that is not wanted any more has ended."""
 
         def has_ended() -> bool:
+            self.check()
             self.reconcile()
             self.raise_on_unreached([gone])  # there it may still run
             return self.has_ended(gone)

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 from poise.clock import wall_time
-from poise.manage.agent_connections.statuses import Statuses, components_of
+from poise.errors import listed
+from poise.manage.agent_connections.statuses import (
+    Statuses,
+    components_of,
+    not_at_goals,
+)
 from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.journal import EntryKind
 from poise.manage.observe.deviations import (
@@ -34,6 +39,16 @@ class Watch:
         if live.has_taken_over:
             known = live.current()
             self.code_errors.record(known, time.monotonic(), are_known=True)
+
+    def change(self) -> Iterator[str]:
+        """Yield which components are being changed, in words; from any thread."""
+        live = self._live
+        desired = live.desired
+        names = {each.component for each in desired.coming}
+        names |= {n for n, placed in desired.placed.items() if placed.goal == "stay"}
+        if names:
+            what = f"being started, moved or replaced: {listed(sorted(names))}"
+            yield "; ".join([what, *not_at_goals(desired.coming, live.current(), ())])
 
     @property
     def num_faults(self) -> int:

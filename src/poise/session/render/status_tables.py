@@ -47,7 +47,8 @@ def status_parts(status: RobotStatus) -> Iterator[RenderableType]:
     elif not status.deviations:
         faults = counted(status.faults, "fault")
         lately = f"; {faults} since the start (below)" if status.faults else ""
-        yield f"everything is as the robot file says{lately}"
+        everything = "everything else" if status.under_way else "everything"
+        yield f"{everything} is as the robot file says{lately}"
     for name, values in sorted(status.parameters.items()):
         said = ", ".join(f"{key} = {value}" for key, value in values.items())
         yield Text(f"parameters of '{name}' that were set since the start: {said}")
