@@ -228,7 +228,10 @@ def test_a_placement_of_another_task_is_refused() -> None:
         pass
 
 
-@pytest.mark.parametrize("url", ["nonsense", "http://", "localhost:4318"])
+@pytest.mark.parametrize(
+    "url",
+    ["nonsense", "http://", "localhost:4318", "http://[::1:4318", "http://a:99999"],
+)
 def test_a_collector_has_a_url(url: str) -> None:
     with (
         pytest.raises(poise.UsageError, match="is no URL, as in http://localhost:4318"),

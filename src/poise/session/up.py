@@ -270,13 +270,21 @@ def _exporter(port: int, patience: float = 0.0) -> MetricsServer:
     return MetricsServer("127.0.0.1", port, patience)
 
 
+def _is_url(url: str) -> bool:
+    try:
+        parts = urlsplit(url)
+        is_http = parts.scheme in {"http", "https"}
+        return is_http and bool(parts.hostname) and parts.port != 0
+    except ValueError:  # the brackets of an IPv6 address, or the port
+        return False
+
+
 def _telemetry(url: str) -> type[Telemetry]:
     """Return the class that sends metrics.
 
     UsageError: its extra is missing, or the URL is none.
     """
-    parts = urlsplit(url)
-    if parts.scheme not in {"http", "https"} or not parts.hostname:
+    if not _is_url(url):
         raise UsageError(f"otel '{url}' is no URL, as in http://localhost:4318")
     try:
         from poise.manage.observe.opentelemetry import Telemetry
