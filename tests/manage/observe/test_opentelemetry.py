@@ -152,6 +152,11 @@ def test_a_collector_gets_what_prometheus_gets(
         ("0.99", "a", "eye.x-mind.x", "source"): 0.004,
         ("1", "a", "eye.x-mind.x", "source"): 0.005,
     }
+    end = "a", "eye.x-mind.x", "source"
+    assert found["poise_connector_latency_seconds_count"] == {end: 7}
+    assert found["poise_connector_latency_seconds_sum"] == pytest.approx(
+        {end: 7 * 0.002}
+    )
     assert found["poise_connector_latency_error_seconds"] == {
         ("a", "eye.x-mind.x", "source"): 0.0003
     }

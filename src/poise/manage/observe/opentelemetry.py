@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 
 from opentelemetry.exporter.otlp.proto.http.metric_exporter import OTLPMetricExporter
@@ -63,14 +63,13 @@ class Telemetry:
         self._status = status
         self._found: dict[tuple[object, ...], Observation] = {}
         meter = self._provider.get_meter("poise")
-        for name, says in METRICS.items():
-            # quantiles come from the connectors' ends: here they are gauges
+        for name, unit, says, grows in _instruments():
             create = (
                 meter.create_observable_counter
-                if kind_of(name) == "counter"
+                if grows
                 else meter.create_observable_gauge
             )
-            create(name, [partial(self._observe, name)], _unit(name), says)
+            create(name, [partial(self._observe, name)], unit, says)
 
     def close(self) -> None:
         """Send what there is, within a few seconds, and end."""
@@ -120,6 +119,18 @@ class _Exporter(OTLPMetricExporter):  # type: ignore[misc]  # it has no types
             return True
         self._why = self._why or record.getMessage()
         return False
+
+
+def _instruments() -> Iterator[tuple[str, str, str, bool]]:
+    """Yield names, units, meanings, and whether values only grow.
+
+    Quantiles come from the connectors' ends: here they are gauges.
+    """
+    for name, says in METRICS.items():
+        yield name, _unit(name), says, kind_of(name) == "counter"
+        if kind_of(name) == "summary":
+            yield f"{name}_sum", _unit(name), says, True
+            yield f"{name}_count", "1", says, True
 
 
 def _unit(name: str) -> str:
