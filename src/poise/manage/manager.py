@@ -362,12 +362,12 @@ class Manager:
         for waiting in list(self._pending):
             command, pending, future = waiting
             if not self.is_stopping and pending.is_decided():
-                self._pending.remove(waiting)
                 migrate: Callable[[], MigrationReport] = pending.run
                 if isinstance(command, ReplaceCommand) and command.watch:
                     begin = self._canaries.begin
                     migrate = partial(begin, command.what, command.watch, migrate)
                 result = self._carry_out(command, migrate)
+                self._pending.remove(waiting)
                 self._answer_when_stored(future, result)
 
     def _carry_out(self, command: Command, do: Callable[[], T]) -> T | Refusal:

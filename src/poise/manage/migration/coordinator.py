@@ -10,12 +10,13 @@ docs/design/moves.md.
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
 from msgspec import Struct, structs
 
-from poise.errors import RunError
+from poise.errors import RunError, TakenOver
 from poise.manage.agent_connections.statuses import (
     calling_ports,
     cut_links,
@@ -229,6 +230,7 @@ class Migration:
         time.sleep(LINGER)
         unanswered = self._unanswered
         while unanswered and time.monotonic() < deadline:
+            self._look()
             unanswered = self._tell_all(unanswered)
             time.sleep(LINGER)
         if unanswered:
@@ -307,6 +309,7 @@ class Migration:
         live = self._live
 
         def have_ended() -> bool:
+            self._look()
             live.reconcile()
             away = live.agents.out_of_reach()
             is_told = not self._committed_generation or self._is_known()
@@ -320,6 +323,11 @@ class Migration:
             self._note_failure(
                 f"{named('component', hanging)} did not stop within {REMOVE_LIMIT:g} s"
             )
+
+    def _look(self) -> None:
+        """See what else breaks meanwhile; that another manager took over, later."""
+        with contextlib.suppress(TakenOver):
+            self._live.check()
 
     def _with_losses(self, reason: str) -> str:
         """Return why it rolled back; a loss is known later than what it leads to."""

@@ -90,6 +90,7 @@ class PendingMigration:
         self._stall: Stall | None = None
         self._reason = ""
         self._missing: list[str] = []
+        self._runs = False
 
     def configure_ahead(self) -> Self:
         """Let the targets be configured; waits for nothing."""
@@ -114,11 +115,14 @@ class PendingMigration:
     def under_way(self) -> str:
         """Return what is waited for, in words; from any thread."""
         since = time.monotonic() - self._began
+        if self._runs:
+            return f"{self._report.way} has been under way for {since:.0f} s"
         waits = "; ".join(self._missing)
         return f"{self._report.way} has been in preparation for {since:.0f} s: {waits}"
 
     def run(self) -> MigrationReport:
         """Migrate, or not; never raises for what goes wrong on the way."""
+        self._runs = True
         configured = time.monotonic() - self._began if self._began else 0.0
         if self._reason:
             report = structs.replace(self._report, reason=self._reason)

@@ -45,7 +45,7 @@ class Watch:
         live = self._live
         desired = live.desired
         names = {each.component for each in desired.coming}
-        names |= {n for n, placed in desired.placed.items() if placed.goal == "stay"}
+        names |= {n for n, placed in desired.placed.items() if placed.goal != "active"}
         if names:
             what = f"being started, moved or replaced: {listed(sorted(names))}"
             yield "; ".join([what, *not_at_goals(desired.coming, live.current(), ())])
