@@ -6,6 +6,8 @@ import logging
 from collections.abc import Iterable
 from typing import Literal
 
+from msgspec import structs
+
 from tests.simulation.conftest import small_scenario
 from tests.simulation.simulated_run import RunOutcome, Scenario, simulate
 from tests.simulation.varied_robots import varied_scenario
@@ -15,7 +17,7 @@ SECONDS = 120.0
 """Of faults in each run [virtual s]."""
 
 
-Kind = Literal["small", "elects", "varied", "wild"]
+Kind = Literal["small", "elects", "varied", "wild", "watched"]
 """The robot of all seeds, the same with standbys, or another one for each seed."""
 
 
@@ -25,6 +27,8 @@ def scenario_of(seed: int, seconds: float, kind: Kind) -> Scenario:
         return varied_scenario(seed, seconds)
     if kind == "wild":
         return wild_scenario(seed, seconds)
+    if kind == "watched":
+        return structs.replace(wild_scenario(seed, seconds), is_watched=True)
     return small_scenario(seconds, elects=kind == "elects")
 
 

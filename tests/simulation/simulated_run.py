@@ -36,6 +36,7 @@ from poise.wire.records.request_records import Claim, Election, ManagerId
 from tests.simulation.aimed_faults import AimedFaults
 from tests.simulation.clients import Clients
 from tests.simulation.served_tasks import unserved
+from tests.simulation.status_watch import StatusWatch
 
 INVARIANTS: Mapping[str, str] = {
     "nothing-active-twice": "No two incarnations of a component work at one time.",
@@ -46,6 +47,7 @@ INVARIANTS: Mapping[str, str] = {
     "commands-end": "An accepted command ends within its limit.",
     "desired-is-reached": "What is desired runs soon after the last fault ended.",
     "failures-are-shown": "A failure is in `status` within a second.",
+    "status-tells-all": "`status` leaves out nothing that does not work.",
     "what-is-lost-runs": "What a lost computer ran runs elsewhere soon.",
     "one-manager-is-obeyed": "An agent does nothing for a manager that was replaced.",
     "a-manager-stays": "Without a take-over no agent leaves a manager that is well.",
@@ -99,6 +101,7 @@ class Scenario(Struct, frozen=True, kw_only=True):
     `election`: how managers follow each other; None: somebody starts the next one.
     `is_wild`: whether clients ask for all that there is, and what components need is
     more than there is at times.
+    `is_watched`: whether the status is asked for all the time.
     """
 
     robot: Robot
@@ -112,6 +115,7 @@ class Scenario(Struct, frozen=True, kw_only=True):
     converges: float = CONVERGE_LIMIT
     election: Election | None = None
     is_wild: bool = False
+    is_watched: bool = False
 
 
 class RunOutcome(Struct, frozen=True, kw_only=True):
@@ -223,6 +227,8 @@ class _Run:
         stops = {"restart", "replace", "suspend"}
         policies = self._scenario.robot.policies
         robot.ledger.is_whole = stops.isdisjoint(policy.do for policy in policies)
+        if self._scenario.is_watched:
+            StatusWatch(robot)
         begin = self._scheduler.now
         end = begin + self._scenario.seconds
         self.faults = self._scenario.faults or ()

@@ -270,3 +270,11 @@ def test_robots_on_which_all_is_tight_do_what_tasks_and_clients_want(
     joined the robot while another one of its function started.
     """
     assert run(seed, seconds, "wild").message == ""
+
+
+@pytest.mark.exhaustive
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [5015, 5049, 5054, 5063, 5097])
+def test_status_leaves_out_nothing_that_does_not_work(seed: int) -> None:
+    """Before, it left out what was being changed, and what broke meanwhile."""
+    assert run(seed, 60.0, "watched").message == ""
