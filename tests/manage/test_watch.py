@@ -79,3 +79,34 @@ def test_what_crashes_before_it_is_configured_is_not_said_to_be_healthy(
     seen.record()
     said.append("container 'mind' on 'left' is healthy again")
     assert [e.what for e in journal.entries() if "'mind'" in e.what] == said
+
+
+def test_what_is_wrong_stays_so_until_its_agent_has_heard_what_is_new(
+    robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each command let it be right for a moment, and a connector for two seconds."""
+    monkeypatch.setattr(watch, "_JOIN_WITHIN", 0.0)
+    agents, journal = FakeAgents("left", "right"), Journal(":memory:")
+    placement = {"grabber": "left", "filter": "left", "thinker": "left"}
+    live = LiveRobot(robot, placement, cast("Agents", agents), journal, "/run")
+    live.start()
+    seen = Watch(live)
+    agents.unjoined = (RAW,)
+    agents.report(replace(agents.statuses()["left"], pid=9))  # so it is told again
+    live.reconcile()
+    failed = ComponentStatus(name="thinker", state="failed")
+    agents.report_component("left", failed)
+    agents.report(replace(agents.statuses()["left"], trouble="the disk is full"))
+    before = len(journal.entries())
+    seen.record()
+    told = {each.what for each in seen.deviations}
+    assert len(told) == 3
+    late = agents.statuses()["left"]
+    agents.report(replace(late, generation=0, trouble="", containers=()))
+    seen.record()
+    assert {each.what for each in seen.deviations} == told
+    agents.report(replace(late, trouble=""))
+    seen.record()
+    assert len(seen.deviations) == 2
+    kinds = [entry.kind for entry in journal.entries()[before:]]
+    assert kinds == ["wrong"] * 3 + ["right"]

@@ -136,6 +136,7 @@ class LostComputers:
             return
 
         def are_back() -> bool:
+            live.check()
             live.reconcile()
             self.note()
             return lost.isdisjoint(self._lost_at)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping
+from collections.abc import Set as AbstractSet
 
 from poise.clock import wall_time
 from poise.errors import listed
@@ -67,7 +68,7 @@ class Watch:
         reached = live.computers()
         statuses = {c: status for c, status in live.current().items() if c in reached}
         before = {deviation.key: deviation for deviation in self.deviations}
-        deviations = self._found(statuses, before)
+        deviations = self._found(statuses, before, reached - statuses.keys())
         for key, deviation in deviations.items():
             if key in before and before[key].what == deviation.what:
                 deviations[key] = before[key]
@@ -81,13 +82,28 @@ class Watch:
         self._note_recoveries(statuses)
 
     def _found(
-        self, statuses: Statuses, before: Mapping[str, Deviation]
+        self,
+        statuses: Statuses,
+        before: Mapping[str, Deviation],
+        unheard: AbstractSet[str],
     ) -> dict[str, Deviation]:
-        """Return what deviates now, by key; of what is being moved, what did before."""
+        """Return what deviates now, by key; of what is not known now, what did before.
+
+        That is what is being moved, and what is on the computers that are `unheard`:
+        they have not reported since they were told something else.
+        """
         live, now = self._live, wall_time()
         wanted, settled = live.desired.incarnations(), live.desired.settled()
         moving = live.placed.keys() - settled.keys()
-        current = {key: before[key] for key in sorted(before.keys() & moving)}
+        unknown = moving | {
+            name for name, each in settled.items() if each.computer in unheard
+        }
+        current = {
+            key: deviation
+            for key, deviation in before.items()
+            if deviation.component in unknown
+            or (deviation.computer in unheard and not deviation.component)
+        }
         deviations = find_deviations(
             settled.values(), wanted, live.layout, statuses, now
         )
@@ -103,7 +119,7 @@ class Watch:
             name: self._unjoined[name]
             for connector in joined
             if (name := connector.name) in self._unjoined
-            and any(end.component in moving for end in connector.between)
+            and any(end.component in unknown for end in connector.between)
         }
         self._unjoined = still | {
             name: self._unjoined.get(name, (deviation, began))
