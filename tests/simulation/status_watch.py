@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from functools import partial
 
+from poise.manage.agent_connections.statuses import connectors_of
 from poise.manage.control_socket.commands import RobotStatus
 from poise.model.robot import Robot
 from poise.simulation.robot.simulated_robot import SimulatedManager, SimulatedRobot
@@ -14,6 +15,8 @@ _AT_WORK = 1.5
 """What a manager says counts once it has been up, and awake, for this time [s]."""
 _WITHIN = 1.2
 """What does not work is told within this time [s]: a second, and two looks."""
+_JOINED = 3.5
+"""Likewise that a connector is not joined, which may take two seconds."""
 
 
 class StatusWatch:
@@ -74,3 +77,10 @@ def _untold(robot: Robot, status: RobotStatus) -> Iterator[tuple[str, float]]:
         # the sentence for a computer that is out of reach names what ran there
         if state != "active" and f"'{at}'" not in said and name not in said:
             yield f"nothing says that '{name}' on '{at}' is {state}", _WITHIN
+    for connector in connectors_of(status.computers):
+        if connector.end == "source" and not connector.ready:
+            ends = [n for n in status.placement if f"{n}." in connector.name]
+            places = [(status.placement[name], name) for name in ends]
+            works = all(states.get(place) == "active" for place in places)
+            if works and len(ends) > 1 and not any(name in said for name in ends):
+                yield f"nothing says that '{connector.name}' is not joined", _JOINED
