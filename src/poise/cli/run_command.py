@@ -167,7 +167,9 @@ def up_command(
     record: Annotated[
         Path | None,
         typer.Option(
-            help="File for samples, and for the values of policies.", callback=to_write
+            help="File for samples, and for the values of policies. The one before "
+            "stays beside it, as NAME-before.",
+            callback=to_write,
         ),
     ] = None,
     set_: Set = None,

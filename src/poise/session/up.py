@@ -163,7 +163,7 @@ def up(  # noqa: PLR0913 - each is a choice of the user
         URL of an OpenTelemetry collector (OTLP/HTTP); None: none.
     record
         A file for what agents say of what is used, and for what policies see; None: it
-        is not kept.
+        is not kept. One that is there already is kept beside it, as ``NAME-before``.
     adapt
         Whether Poise changes the placement by itself when components miss their
         deadlines, or their computer is overloaded.
@@ -209,7 +209,7 @@ def up(  # noqa: PLR0913 - each is a choice of the user
         book = stack.enter_context(
             journal_of(robot, first, journal, lambda entry: say(str(entry)), decided)
         )
-        recorder = RecordingFile(Path(record), robot.name) if record else None
+        recorder = _recorder(Path(record), robot.name) if record else None
         if recorder is not None:
             stack.callback(lambda: say(str(recorder)))
             stack.callback(recorder.close)
@@ -240,6 +240,16 @@ def up(  # noqa: PLR0913 - each is a choice of the user
         if exporter is not None:
             exporter.show(manager.status)
         yield running
+
+
+def _recorder(path: Path, robot: str) -> RecordingFile:
+    """Return what records; the recording before may be of what broke."""
+    try:
+        if path.is_file():
+            path.replace(path.with_stem(f"{path.stem}-before"))
+    except OSError as error:
+        raise UsageError(f"{path} cannot be renamed: {error.strerror}") from error
+    return RecordingFile(path, robot)
 
 
 def _tasks_of(robot: Robot, task: str | Sequence[str] | None) -> Sequence[str]:
