@@ -17,6 +17,7 @@ from poise.wire.records.status_records import (
     ComponentStatus,
     ConnectorStatus,
     ContainerHealth,
+    ContainerStatus,
     Fault,
 )
 from tests.manage.conftest import FakeAgents
@@ -32,7 +33,7 @@ RAW = ConnectorStatus(
 def test_a_connector_is_not_said_to_be_joined_because_its_end_is_moved(
     robot: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(watch, "_JOIN_WITHIN", 0.0)
+    monkeypatch.setattr(watch, "_LASTS", 0.0)
     agents, journal = FakeAgents("left", "right"), Journal(":memory:")
     placement = {"grabber": "left", "filter": "left"}
     live = LiveRobot(robot, placement, cast("Agents", agents), journal, "/run")
@@ -85,7 +86,7 @@ def test_what_is_wrong_stays_so_until_its_agent_has_heard_what_is_new(
     robot: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each command let it be right for a moment, and a connector for two seconds."""
-    monkeypatch.setattr(watch, "_JOIN_WITHIN", 0.0)
+    monkeypatch.setattr(watch, "_LASTS", 0.0)
     agents, journal = FakeAgents("left", "right"), Journal(":memory:")
     placement = {"grabber": "left", "filter": "left", "thinker": "left"}
     live = LiveRobot(robot, placement, cast("Agents", agents), journal, "/run")
@@ -110,3 +111,22 @@ def test_what_is_wrong_stays_so_until_its_agent_has_heard_what_is_new(
     assert len(seen.deviations) == 2
     kinds = [entry.kind for entry in journal.entries()[before:]]
     assert kinds == ["wrong"] * 3 + ["right"]
+
+
+def test_a_container_that_is_ending_is_not_said_to_run_but_should_not(
+    robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What a move leaves behind takes a moment to end, and is looked at meanwhile."""
+    agents, journal = FakeAgents("left", "right"), Journal(":memory:")
+    live = LiveRobot(robot, {}, cast("Agents", agents), journal, "/run")
+    live.start()
+    seen, before = Watch(live), len(journal.entries())
+    odd = ContainerStatus(name="odd", pid=7, components=())
+    agents.report(replace(agents.statuses()["left"], containers=(odd,)))
+    seen.record()
+    assert not seen.deviations
+    assert len(journal.entries()) == before
+    monkeypatch.setattr(watch, "_LASTS", 0.0)
+    seen.record()
+    (found,) = seen.deviations
+    assert found.what == "container 'odd' runs on 'left' but should not"

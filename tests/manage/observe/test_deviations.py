@@ -7,7 +7,12 @@ from msgspec.structs import replace
 
 from poise.manage.deploy.deployment_layout import DeploymentLayout
 from poise.manage.deploy.desired import Incarnation
-from poise.manage.observe.deviations import Deviation, find_deviations, find_unjoined
+from poise.manage.observe.deviations import (
+    Deviation,
+    find_deviations,
+    find_unjoined,
+    find_unwanted,
+)
 from poise.model.robot import Connector, ConnectorEnd, Robot
 from poise.wire.records.status_records import (
     AgentStatus,
@@ -94,7 +99,7 @@ def test_names_a_container_that_nobody_wants(robot: Robot) -> None:
         computer="a", generation=1, uptime=9.0, cpu=0.0, containers=(container,)
     )
     layout = DeploymentLayout(robot, "")
-    (found,) = find_deviations([], [], layout, {"a": status}, 5.0)
+    ((_, found),) = find_unwanted([], layout, {"a": status}, 5.0)
     assert found.what == "container 'odd' runs on 'a' but should not"
 
 

@@ -6,7 +6,7 @@ a reader of new ones remembers the numbers of those before.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from collections.abc import Set as AbstractSet
 from typing import TYPE_CHECKING
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 import time
 from collections import defaultdict, deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 
 from poise.wire.records.status_records import Fault
 
@@ -64,17 +64,43 @@ def find_deviations(
     statuses: Statuses,
     now: float,  # the time [s since 1970]
 ) -> Iterator[Deviation]:
-    """Yield what differs between the placement and what the agents reported."""
+    """Yield what differs between the placement and what the agents reported.
+
+    But for `find_unwanted` and `find_unjoined`: what has to last.
+    """
     here: dict[str, list[Incarnation]] = defaultdict(list)
-    names: dict[str, set[str]] = defaultdict(set)
+    names = _containers(wanted, layout)
     for incarnation in settled:
         here[incarnation.computer].append(incarnation)
-    for incarnation in wanted:
-        names[incarnation.computer].add(layout.container_of(incarnation))
     for computer, status in sorted(statuses.items()):
         yield from _of_components(here[computer], layout, status, now)
         for what in _of_containers(names[computer], status):
             yield Deviation(what=what, computer=computer, since=now)
+
+
+def _containers(
+    wanted: Iterable[Incarnation], layout: DeploymentLayout
+) -> dict[str, set[str]]:
+    """Return computer -> the names of the containers that are wanted there."""
+    names: dict[str, set[str]] = defaultdict(set)
+    for incarnation in wanted:
+        names[incarnation.computer].add(layout.container_of(incarnation))
+    return names
+
+
+def find_unwanted(
+    wanted: Collection[Incarnation],
+    layout: DeploymentLayout,
+    statuses: Statuses,
+    now: float,
+) -> Iterator[tuple[str, Deviation]]:
+    """Yield the containers that should not run, by what is said of them: some end."""
+    names = _containers(wanted, layout)
+    for computer, status in sorted(statuses.items()):
+        for running in status.containers:
+            if running.name not in names[computer]:
+                what = f"container '{running.name}' runs on '{computer}' but should not"
+                yield what, Deviation(what=what, computer=computer, since=now)
 
 
 def find_unjoined(
@@ -135,9 +161,6 @@ def _of_containers(wanted: AbstractSet[str], status: AgentStatus) -> Iterator[st
     for running in status.containers:
         if running.trouble:
             yield f"on '{status.computer}' {running.trouble}"
-        if running.name not in wanted:
-            where = f"container '{running.name}' runs on '{status.computer}'"
-            yield f"{where} but should not"
     for health in status.health:
         if health.name in wanted and health.restarts_lately >= _CRASH_LOOP:
             where = f"container '{health.name}' on '{status.computer}'"

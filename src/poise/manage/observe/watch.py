@@ -20,11 +20,13 @@ from poise.manage.observe.deviations import (
     FaultFilter,
     find_deviations,
     find_unjoined,
+    find_unwanted,
 )
 from poise.manage.observe.troubles import CodeErrors
 
-_JOIN_WITHIN = 2.0
-"""A connector that is not joined for so long is a deviation [s]."""
+_LASTS = 2.0
+"""A connector that is not joined, or a container that should not run, is a deviation
+after this time [s]: it takes a moment to join one, and to end one."""
 
 
 class Watch:
@@ -34,7 +36,8 @@ class Watch:
         self.deviations: tuple[Deviation, ...] = ()
         """What is not as it should be now."""
         self._live = live
-        self._unjoined: dict[str, tuple[Deviation, float]] = {}
+        self._new: dict[str, tuple[Deviation, float]] = {}
+        """What has to last, and since when it is so [s]."""
         self._faults = FaultFilter(live.faults_before)
         self.code_errors = CodeErrors(live.journal.note)
         if live.has_taken_over:
@@ -113,22 +116,30 @@ class Watch:
             for name, incarnation in settled.items()
             if name not in current and incarnation.computer in statuses
         ]
-        began = time.monotonic()
-        joined = live.layout.connectors(live.placed) if self._unjoined else ()
+        began, layout = time.monotonic(), live.layout
+        joined = layout.connectors(live.placed) if self._new else ()
         still = {
-            name: self._unjoined[name]
+            connector.name
             for connector in joined
-            if (name := connector.name) in self._unjoined
-            and any(end.component in unknown for end in connector.between)
+            if any(end.component in unknown for end in connector.between)
         }
-        self._unjoined = still | {
-            name: self._unjoined.get(name, (deviation, began))
-            for name, deviation in find_unjoined(there, live.layout, statuses, now)
+        found = {
+            **{
+                key: deviation
+                for key, (deviation, _) in self._new.items()
+                if key in still or deviation.computer in unheard
+            },
+            **dict(find_unjoined(there, layout, statuses, now)),
+            **dict(find_unwanted(wanted, layout, statuses, now)),
+        }
+        self._new = {
+            key: self._new.get(key, (deviation, began))
+            for key, deviation in found.items()
         }
         return current | {
             deviation.key: deviation
-            for deviation, since in self._unjoined.values()
-            if began - since >= _JOIN_WITHIN
+            for deviation, since in self._new.values()
+            if began - since >= _LASTS
         }
 
     def _note_faults(self) -> None:
