@@ -83,8 +83,8 @@ def robot(tmp_path: Path) -> Iterator[Robot]:
         )
         yield load(tmp_path / "robot.yaml")
     finally:
-        for node in nodes:
-            node.terminate()
+        for node in nodes:  # rclpy may hang when it is asked to end
+            node.kill()
         for node in nodes:
             node.wait(10)
 

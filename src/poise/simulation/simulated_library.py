@@ -243,7 +243,8 @@ def _connections(scheduler: Scheduler, sessions: ZenohNetwork) -> list[Replaced]
 
 def _with_defaults(real: Container[object]) -> list[FunctionType]:
     """Return functions of Poise whose default arguments were bound to the library."""
-    modules = [m for n, m in sorted(sys.modules.items()) if n.startswith("poise.")]
+    known = sys.modules.copy()  # another thread may import
+    modules = [m for n, m in sorted(known.items()) if n.startswith("poise.")]
     classes = [c for m in modules for c in vars(m).values() if isinstance(c, type)]
     methods = [f for c in classes for f in vars(c).values()]
     return [
