@@ -72,6 +72,8 @@ def test_moves_at_once_lose_nothing(tmp_path: Path) -> None:
         for thread in threads:
             thread.join(LONG)
         assert {*committed} == {*names}
+        # what moved last tells its measures with its next report
+        wait_long(lambda: "received" in measures(running))
         received = measures(running)["received"]
         wait_long(lambda: measures(running)["received"] > received + 100)
         counts = measures(running)
