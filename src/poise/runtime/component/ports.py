@@ -24,7 +24,8 @@ from __future__ import annotations
 
 import inspect
 import reprlib
-from collections.abc import Callable, Container, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping
+from types import FunctionType
 from typing import (
     Annotated,
     Any,
@@ -310,7 +311,7 @@ def ports_of(component: type) -> Mapping[str, Port]:
         port = _annotated_port(name, hint, getattr(component, name, None))
         if port is not None:
             ports[name] = port
-    for name, method in inspect.getmembers(component, inspect.isfunction):
+    for name, method in _functions_of(component):
         if hasattr(method, "__poise_queue__"):
             port_name, queue = method.__poise_queue__
             if port_name in ports:
@@ -334,6 +335,17 @@ def ports_of(component: type) -> Mapping[str, Port]:
     return ports
 
 
+def _functions_of(owner: type) -> Iterator[tuple[str, FunctionType]]:
+    """Yield the functions of a class by name.
+
+    `inspect.getmembers` goes through the dictionaries of its bases, to which another
+    thread adds annotations when it is the first that reads them.
+    """
+    for name in dir(owner):
+        if isinstance(found := getattr(owner, name, None), FunctionType):
+            yield name, found
+
+
 def _check_names(component: type, declared: Container[str]) -> None:
     """Raise UsageError when a class hides what each component has of Poise."""
     for name in _OWN:
@@ -347,7 +359,7 @@ def _check_names(component: type, declared: Container[str]) -> None:
 def watchers_of(component: type) -> Mapping[tuple[InputEvent, str], list[str]]:
     """Return what happens to which port -> the methods that are called then."""
     found: dict[tuple[InputEvent, str], list[str]] = {}
-    for name, method in inspect.getmembers(component, inspect.isfunction):
+    for name, method in _functions_of(component):
         if hasattr(method, "__poise_input__"):
             found.setdefault(method.__poise_input__, []).append(name)
     return found
@@ -357,7 +369,7 @@ def timers_of(component: type) -> Mapping[str, Timer]:
     """Return the timers of a component class by method name."""
     return {
         name: Timer(name, *method.__poise_timer__)
-        for name, method in inspect.getmembers(component, inspect.isfunction)
+        for name, method in _functions_of(component)
         if hasattr(method, "__poise_timer__")
     }
 
@@ -365,9 +377,7 @@ def timers_of(component: type) -> Mapping[str, Timer]:
 def methods_of(interface: type) -> tuple[str, ...]:
     """Return the names of an interface's public methods."""
     return tuple(
-        name
-        for name, _ in inspect.getmembers(interface, inspect.isfunction)
-        if not name.startswith("_")
+        name for name, _ in _functions_of(interface) if not name.startswith("_")
     )
 
 
