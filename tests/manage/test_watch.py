@@ -30,18 +30,26 @@ RAW = ConnectorStatus(
 )
 
 
-def test_a_connector_is_not_said_to_be_joined_because_its_end_is_moved(
-    robot: Robot, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(watch, "_LASTS", 0.0)
-    agents, journal = FakeAgents("left", "right"), Journal(":memory:")
-    placement = {"grabber": "left", "filter": "left"}
+def unjoined(
+    robot: Robot, agents: FakeAgents, journal: Journal, *components: str
+) -> tuple[LiveRobot, Watch]:
+    """Return a robot with components on 'left', of which `RAW` is not joined."""
+    placement = dict.fromkeys(components, "left")
     live = LiveRobot(robot, placement, cast("Agents", agents), journal, "/run")
     live.start()
     seen = Watch(live)
     agents.unjoined = (RAW,)
     agents.report(replace(agents.statuses()["left"], pid=9))  # so it is told again
     live.reconcile()
+    return live, seen
+
+
+def test_a_connector_is_not_said_to_be_joined_because_its_end_is_moved(
+    robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(watch, "_LASTS", 0.0)
+    agents, journal = FakeAgents("left", "right"), Journal(":memory:")
+    live, seen = unjoined(robot, agents, journal, "grabber", "filter")
     seen.record()
     what = f"connector '{RAW.name}' from 'left' does not reach 'left'"
     assert [each.what for each in seen.deviations] == [what]
@@ -88,13 +96,7 @@ def test_what_is_wrong_stays_so_until_its_agent_has_heard_what_is_new(
     """Each command let it be right for a moment, and a connector for two seconds."""
     monkeypatch.setattr(watch, "_LASTS", 0.0)
     agents, journal = FakeAgents("left", "right"), Journal(":memory:")
-    placement = {"grabber": "left", "filter": "left", "thinker": "left"}
-    live = LiveRobot(robot, placement, cast("Agents", agents), journal, "/run")
-    live.start()
-    seen = Watch(live)
-    agents.unjoined = (RAW,)
-    agents.report(replace(agents.statuses()["left"], pid=9))  # so it is told again
-    live.reconcile()
+    _, seen = unjoined(robot, agents, journal, "grabber", "filter", "thinker")
     failed = ComponentStatus(name="thinker", state="failed")
     agents.report_component("left", failed)
     agents.report(replace(agents.statuses()["left"], trouble="the disk is full"))

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 _MOST = 1000
-"""Of so many publishers it is known; those that were heard last."""
+"""Stamps are kept of so many publishers: of those that were heard last."""
 
 
 class Arrivals:

@@ -79,7 +79,7 @@ class Network:
         at = engine.arrival(source, target, size)
         if source == target:
             return (at,)
-        if self._num_cuts and self.is_cut(source, target):
+        if self._num_cuts and engine.is_cut(source, target):
             return ()
         if self.loss and happens("network", self.loss):
             return ()
