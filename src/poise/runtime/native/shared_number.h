@@ -25,9 +25,10 @@ class Shared {
   Number get() const { return value_.load(std::memory_order_acquire); }
   void set(Number value) { value_.store(value, std::memory_order_release); }
 
-  // One thread at a time writes, so no locked instruction is needed.
+  // One thread at a time writes, so no locked instruction is needed. Who sees the sum sees what
+  // that thread wrote before: a call that is counted does not seem to run still.
   void add(Number more) {
-    value_.store(value_.load(std::memory_order_relaxed) + more, std::memory_order_relaxed);
+    value_.store(value_.load(std::memory_order_relaxed) + more, std::memory_order_release);
   }
 
  private:
