@@ -258,7 +258,7 @@ def test_refuses_what_is_no_frame(
     ("kind", "why"),
     [
         ("unsealed", "may shrink"),
-        ("empty", "block of -4096 B"),
+        ("empty", f"block of -{DATA} B"),
         ("no memory", "cannot be mapped"),
         ("slot", "with slot 5000"),
     ],

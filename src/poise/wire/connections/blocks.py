@@ -39,10 +39,12 @@ MOST_BYTES = 1 << 28
 
 DATA = mmap.PAGESIZE
 """Where the data begin [bytes]: the page before holds bytes that both ends write."""
+SLOTS = 1 << 12
+"""Bytes of that page which are slots: a page may have 64 KiB, and all are looked at."""
 OWN = 0
 """The slot of a loan, which its own process has."""
 _FREE, _LENT = 0, 1
-_ALL_FREE = bytes(DATA)
+_ALL_FREE = bytes(SLOTS)
 # qemu maps what is only to be written so that the kernel cannot read it: EFAULT
 _ACCESS = mmap.PROT_READ | mmap.PROT_WRITE
 _SEALS = fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW | fcntl.F_SEAL_SEAL
@@ -69,7 +71,7 @@ class Block:
 
     def is_free(self) -> bool:
         """Return whether nobody has an array on it."""
-        return self._map[:DATA] == _ALL_FREE
+        return self._map[:SLOTS] == _ALL_FREE
 
     def is_lent(self, slot: int) -> bool:
         """Return whether a slot's user has an array on it."""
@@ -107,7 +109,7 @@ class Blocks:
         """Begin with none, as a process that a component forks: it has copies."""
         self._blocks: dict[int, Block] = {}
         self._changing = threading.Lock()
-        self._free_slots = list(reversed(range(1, DATA)))
+        self._free_slots = list(reversed(range(1, SLOTS)))
 
     def allocate(self, size: int, slot: int) -> Block | None:
         """Return a free block for `size` bytes, lent to a slot; None: there is none."""
@@ -139,7 +141,7 @@ class Blocks:
         """End a connection: blocks that are lent over it are not used again."""
         with self._changing:
             self._free_slots.append(slot)
-            is_last = len(self._free_slots) == len(range(1, DATA))
+            is_last = len(self._free_slots) == len(range(1, SLOTS))
             for block in list(self._blocks.values()):
                 if block.is_lent(slot) or (is_last and block.is_free()):
                     del self._blocks[block.number]
@@ -168,7 +170,7 @@ def lender(file: int, slot: int) -> _channel.Lender:
     if fcntl.fcntl(file, fcntl.F_GET_SEALS) & _SEALS != _SEALS:
         raise WireError("a shared block may shrink: not sealed")
     capacity = os.fstat(file).st_size - DATA
-    if not (0 < capacity <= MOST_BYTES and slot < DATA):
+    if not (0 < capacity <= MOST_BYTES and slot < SLOTS):
         raise WireError(f"a shared block of {capacity} B with slot {slot}")
     shared = mmap.MAP_SHARED | mmap.MAP_POPULATE
     flags = mmap.mmap(file, DATA, shared, _ACCESS)
