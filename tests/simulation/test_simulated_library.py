@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from poise.simulation import choices
 from poise.simulation.choices import Choices
 from poise.simulation.network import Addresses, Network
 from poise.simulation.robot.simulated_process import SimulatedComputer
@@ -65,6 +66,19 @@ def test_code_outside_of_the_simulation_reads_the_real_clock(
         scheduler.run(1.0)
         assert time.monotonic() >= before
     assert read == [50.0]
+
+
+def test_a_default_without_a_hash_is_left_as_it_is(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its type has one, and what it holds has none."""
+
+    class Waiting:
+        def wait(self, clock: Any = time.monotonic, seen: Any = ([],)) -> Any:
+            return clock(), seen
+
+    monkeypatch.setattr(choices, "Waiting", Waiting, raising=False)
+    assert run(lambda: Waiting().wait()) == (50.0, ([],))
 
 
 def test_a_condition_that_nobody_notifies_times_out_in_virtual_time(run: Run) -> None:

@@ -20,7 +20,7 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Container, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from functools import partial
 from math import inf
 from threading import get_ident
@@ -265,7 +265,12 @@ def _swapped(default: object, instead: Mapping[Any, object]) -> object:
 
 
 def _is_hashable(value: object) -> bool:
-    return isinstance(value, Hashable)
+    """Return whether it can be looked up: its type may depend on what it holds."""
+    try:
+        hash(value)
+    except TypeError:
+        return False
+    return True
 
 
 def _refusal(what: str) -> Callable[..., Any]:
