@@ -23,6 +23,7 @@ from poise.manage.migration.migration_report import MigrationReport, WhatIf
 from poise.manage.observe.estimates import DemandEstimate
 from poise.manage.tasks.concurrent_tasks import TaskReport
 from poise.model.policy import Policy
+from poise.model.schema import flush_left
 from poise.plan.phase_result import PlainPhases
 from poise.plan.result_records import PlainResult
 from poise.session.deploy.deploy import Deployed
@@ -181,7 +182,7 @@ def schema() -> dict[str, Any]:
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "What Poise's commands print with --json",
-        "$defs": {**commands, **records},
+        "$defs": {**commands, **flush_left(records)},
     }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 from collections.abc import Mapping
 from typing import Any
@@ -48,6 +49,19 @@ def schema() -> Schema:
 def schema_text() -> str:
     """Return the schema as it is published, one key a line."""
     return json.dumps(schema(), indent=2, ensure_ascii=False) + "\n"
+
+
+def flush_left(records: Mapping[str, Schema]) -> dict[str, Schema]:
+    """Return msgspec's schemas of records with their docstrings as people read them.
+
+    Python leaves the indentation of the code in a docstring, from 3.13 on it does not.
+    """
+    return {
+        name: {**record, "description": inspect.cleandoc(record["description"])}
+        if "description" in record
+        else record
+        for name, record in records.items()
+    }
 
 
 def _schema(

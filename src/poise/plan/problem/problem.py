@@ -20,6 +20,7 @@ from msgspec import Struct, ValidationError, structs, to_builtins
 from poise.decoding import convert, from_json
 from poise.errors import RobotError, unknown
 from poise.model.robot import Computer, Link, Objective, Scale, Spread
+from poise.model.schema import flush_left
 from poise.plan.problem.items import Bundle, Edge, Item, SoftLimit, TimeLimit
 
 
@@ -351,5 +352,9 @@ def load(path: str | Path) -> Problem:
 def schema() -> str:
     """Return the JSON Schema of what `load` reads, as indented JSON."""
     keys = msgspec.json.schema(Problem)
-    whole = {"$schema": "https://json-schema.org/draft/2020-12/schema", **keys}
+    whole = {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        **keys,
+        "$defs": flush_left(keys["$defs"]),
+    }
     return msgspec.json.format(msgspec.json.encode(whole), indent=2).decode() + "\n"
