@@ -32,7 +32,7 @@ def rclpy() -> ModuleType:
     except ImportError as error:
         raise RobotError(
             f"there is no ROS 2 here ({error}): source its setup.bash where `poise` is "
-            "started, or `pip install 'poise[ros2]'`"
+            "started, or on x86-64 `pip install 'poise[ros2]'`"
         ) from None
 
 

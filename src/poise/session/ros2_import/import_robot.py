@@ -78,7 +78,7 @@ def import_robot(
     except ImportError as error:
         raise RunError(
             f"{error}: run this where ROS 2 is: after `source /opt/ros/*/setup.bash`, "
-            "or in an environment with `pip install 'poise[ros2]'`"
+            "or, on x86-64, in an environment with `pip install 'poise[ros2]'`"
         ) from error
     graph = observe(seconds)
     here = WhereImported(
