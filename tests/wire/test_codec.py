@@ -97,6 +97,8 @@ def test_numbers_of_numpy_come_over_as_numbers() -> None:
         (print, "type builtin_function_or_method cannot cross"),
         (np.array([None]), "an array of object cannot cross"),
         (np.zeros(2, [("x", "f4")]), "one for each field"),
+        (np.zeros(2, np.longdouble), "but not of longdouble"),
+        (np.zeros(2, np.clongdouble), "but not of longdouble"),
         (1 << 70, "Anything cannot cross a connector: can't serialize ints"),
         ("\ud800", "surrogates not allowed"),
     ],

@@ -33,8 +33,9 @@ _NOTHING = memoryview(b"")
 _ARRAY = 1
 _LONGEST_HEADER = 1 << 10
 """What stands for an array is shorter, with as many sides as NumPy has [bytes]."""
-_DTYPE = re.compile(r"[<>|][biufcSUmM]\d{1,9}(\[\d*\w{1,2}\])?")
-"""What arrays may hold, in NumPy's letters: no objects, and no records."""
+_DTYPE = re.compile(r"[<>|](?!f12|f16|c24|c32)[biufcSUmM]\d{1,9}(\[\d*\w{1,2}\])?")
+"""What arrays may hold, in NumPy's letters: no objects, no records, no `longdouble`,
+whose bytes are other numbers on another processor."""
 _NUMBERS = "biufc"
 """Letters of NumPy's kinds of numbers: each holds what those before it hold."""
 _UNFIT = (TypeError, ValueError, OverflowError, RecursionError)
@@ -220,8 +221,8 @@ def _extension(dtype: np.dtype[Any], shape: tuple[int, ...], offset: int) -> Any
     """Return what stands for an array in a body."""
     if _dtype(dtype.str) is None:
         raise WireError(
-            f"an array of {dtype} cannot cross a connector; use one of numbers, "
-            "or a Message with one for each field"
+            f"an array of {dtype} cannot cross a connector; use one of numbers, but "
+            "not of longdouble, or a Message with one for each field"
         )
     header = msgspec.msgpack.encode((dtype.str, shape, offset))
     return msgspec.msgpack.Ext(_ARRAY, header)
