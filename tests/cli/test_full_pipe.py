@@ -72,7 +72,7 @@ def releases(computer: str) -> int:
 
 def adopted(computer: str) -> int:
     agent = status().computers.get(computer)
-    return agent.adopted if agent else 0
+    return len(agent.took_over or ()) if agent else 0
 
 
 def agent_of(up: int, computer: str) -> int:

@@ -40,3 +40,12 @@ def test_what_another_version_wrote_is_refused(tmp_path: Path) -> None:
         store.latest("r")
     with pytest.raises(UsageError, match=says), Store(path) as store:
         store.latest_costs("r")
+
+
+def test_a_damaged_file_is_not_kept_open(tmp_path: Path) -> None:
+    path = tmp_path / "profiles.sqlite"
+    path.write_text("no database" * 100)
+    with pytest.raises(UsageError, match="is not a database"):
+        Store(path)
+    opened = [link.resolve() for link in Path("/proc/self/fd").iterdir()]
+    assert path not in opened

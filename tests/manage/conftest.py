@@ -24,6 +24,7 @@ from poise.wire.records.deployment_records import Deployment
 from poise.wire.records.migration_records import MigrationSteps, StepsDone, StepsOutcome
 from poise.wire.records.request_records import (
     Accepted,
+    CheckpointCopy,
     Claimed,
     Election,
     ManagerId,
@@ -116,6 +117,8 @@ class FakeAgents:
         self.deaf: set[str] = set()
         self.unclaimed: set[str] = set()
         self.halted: dict[str, StepsOutcome] = {}
+        self.kept: list[tuple[str, CheckpointCopy]] = []
+        self.full: set[str] = set()
         self.refused: list[str] = []
         self.lose_when_told = ""
         self.deployed: list[tuple[str, Deployment]] = []
@@ -251,6 +254,12 @@ class FakeAgents:
     def end_claim(self, computer: str, reply: PendingAnswer) -> None:
         pass
 
+    def begin_keeping(self, computer: str, copy: CheckpointCopy) -> PendingAnswer:
+        self.kept.append((computer, copy))
+        reply = PendingAnswer()
+        reply.set(Refused("no space") if computer in self.full else Accepted())
+        return reply
+
     def begin_steps(self, computer: str, steps: MigrationSteps) -> PendingAnswer:
         reply = PendingAnswer()
         reply.set(self.halted.get(computer, StepsDone(steps.number)))
@@ -300,7 +309,7 @@ class FakeAgents:
         return AgentStatus(
             computer=computer,
             pid=before.pid if before else 0,
-            adopted=before.adopted if before else 0,
+            took_over=before.took_over if before else (),
             generation=deployment.generation,
             uptime=0,
             cpu=0,

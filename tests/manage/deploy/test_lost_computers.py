@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import cast
 
+import pytest
 from msgspec import structs
 
 from poise.manage.agent_connections.agents import Agents
@@ -11,20 +12,28 @@ from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.deploy.lost_computers import LostComputers
 from poise.manage.journal import Journal
 from poise.model.robot import Robot
+from poise.wire.records.request_records import CheckpointCopy
+from poise.wire.records.status_records import ComponentStatus
 from tests.manage.conftest import FakeAgents
+
+PLACEMENT = {"grabber": "left", "thinker": "right"}
+LOST = (
+    "component 'thinker' began again on 'right' without the state that it had: its "
+    "process had ended with the agent or the computer; it has no `checkpoint` in the "
+    "robot file"
+)
 
 
 def test_an_agent_that_was_back_before_anybody_looked_is_told_of(robot: Robot) -> None:
     agents, journal = FakeAgents("left", "right"), Journal(":memory:")
-    placement = {"grabber": "left", "thinker": "right"}
-    live = LiveRobot(robot, placement, cast("Agents", agents), journal, "/run")
+    live = LiveRobot(robot, PLACEMENT, cast("Agents", agents), journal, "/run")
     live.start()
     lost = LostComputers(live)
     before, told = len(journal.entries()), len(agents.deployed)
     lost.note()
     assert len(journal.entries()) == before
     status = agents.statuses()["right"]
-    agents.report(structs.replace(status, pid=8, adopted=1))
+    agents.report(structs.replace(status, pid=8, took_over=("mind",)))
     live.reconcile()
     for _ in range(2):
         lost.note()
@@ -38,14 +47,97 @@ def test_an_agent_that_was_back_before_anybody_looked_is_told_of(robot: Robot) -
 def test_an_agent_of_which_nothing_is_known_yet_is_told_of(robot: Robot) -> None:
     """It came back before anybody looked, and has not reported since."""
     agents = FakeAgents("left", "right")
-    placement = {"grabber": "left", "thinker": "right"}
-    live = LiveRobot(
-        robot, placement, cast("Agents", agents), Journal(":memory:"), "/run"
-    )
-    live.start()
+    live = started(robot, agents)
     lost = LostComputers(live)
     assert lost.deviations() == []
     agents.forget_status("right")
     (told,) = lost.deviations()
     assert told.computer == "right"
     assert "is back, but not yet managed" in told.what
+
+
+def started(robot: Robot, agents: FakeAgents) -> LiveRobot:
+    live = LiveRobot(
+        robot, PLACEMENT, cast("Agents", agents), Journal(":memory:"), "/run"
+    )
+    live.start()
+    return live
+
+
+def stateful(live: LiveRobot) -> ComponentStatus:
+    thinker = live.placed["thinker"]
+    return ComponentStatus(
+        name="thinker", epoch=thinker.epoch, state="active", has_state=True
+    )
+
+
+@pytest.mark.parametrize(
+    ("took_over", "told"),
+    [((), [LOST]), (("mind",), []), pytest.param(None, [], id="an older agent")],
+)
+def test_a_state_that_ended_with_its_computer_is_told_of(
+    robot: Robot, took_over: tuple[str, ...] | None, told: list[str]
+) -> None:
+    agents = FakeAgents("left", "right")
+    live = started(robot, agents)
+    lost = LostComputers(live)
+    agents.states["thinker"] = stateful(live)
+    status = agents.statuses()["right"]
+    agents.report(structs.replace(status, pid=8, took_over=took_over, generation=0))
+    live.reconcile()
+    for _ in range(3):
+        lost.note()
+    assert [each.what for each in live.lost_states.values()] == told
+    assert [
+        e.what for e in live.journal.entries() if "without the state" in e.what
+    ] == told
+
+
+def lose_folder(live: LiveRobot, agents: FakeAgents) -> LostComputers:
+    """Let the agent of ``right`` come back, with nothing in its folder."""
+    lost = LostComputers(live)
+    thinker = live.placed["thinker"]
+    copy = CheckpointCopy(component="thinker", epoch=thinker.epoch, data=b"7", age=1.0)
+    agents.checkpoints.note(copy)
+    agents.states["thinker"] = stateful(live)
+    status = agents.statuses()["right"]
+    agents.report(structs.replace(status, pid=8, generation=0, containers=()))
+    agents.strangers.add("right")
+    agents.deployed.clear()
+    for _ in range(4):
+        live.reconcile()
+        lost.note()
+    assert [computer for computer, _ in agents.deployed] == ["right"]
+    return lost
+
+
+def test_an_agent_that_has_lost_its_folder_gets_the_checkpoints_again(
+    robot: Robot,
+) -> None:
+    agents = FakeAgents("left", "right")
+    live = started(robot, agents)
+    lose_folder(live, agents)
+    assert [(at, copy.component, copy.data) for at, copy in agents.kept] == [
+        ("right", "thinker", b"7")
+    ]
+    assert live.lost_states == {}
+
+
+def test_an_agent_that_knows_what_ran_has_the_newest_checkpoint(robot: Robot) -> None:
+    agents = FakeAgents("left", "right")
+    live = started(robot, agents)
+    agents.left_with = {"right": dict(agents.deployed)["right"]}
+    lose_folder(live, agents)
+    assert agents.kept == []
+
+
+def test_a_checkpoint_that_an_agent_does_not_take_is_told_of(robot: Robot) -> None:
+    agents = FakeAgents("left", "right")
+    live = started(robot, agents)
+    agents.full = {"right"}
+    lose_folder(live, agents)
+    (told,) = live.lost_states.values()
+    assert told.what == (
+        "component 'thinker' starts on 'right' without the state that it had: its "
+        "agent did not take the checkpoint (no space)"
+    )

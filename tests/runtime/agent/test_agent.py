@@ -272,7 +272,7 @@ class Manager:
                 and any(each.name == name for each in status.containers)
             )
         )
-        assert status.adopted
+        assert status.took_over
         return next(each for each in status.containers if each.name == name)
 
     def forget_faults(self) -> None:

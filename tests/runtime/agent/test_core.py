@@ -116,9 +116,8 @@ class Host:
 class Adopted:
     """Nothing to adopt."""
 
-    num_adopted = 0
-
     def __init__(self) -> None:
+        self.adopted: list[str] = []
         self.watched: list[int] = []
         self.is_closed = False
         self.is_waiting = False

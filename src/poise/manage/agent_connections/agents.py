@@ -24,6 +24,8 @@ from poise.manage.agent_connections.requests import (
     SEND_LIMIT,
     AgentRequests,
     PendingAnswer,
+    keep_limit,
+    why_not_kept,
 )
 from poise.priority import before_components
 from poise.wire.control_session import (
@@ -48,7 +50,6 @@ from poise.wire.records.migration_records import (
     StepsOutcome,
 )
 from poise.wire.records.request_records import (
-    Accepted,
     Answer,
     CheckpointCopy,
     Claim,
@@ -75,8 +76,6 @@ _OTHERS = 0.1
 """When a majority of agents is there, the others have this time [s]."""
 _UNCONFIRMED = 2.0
 """A manager that no majority has heard for so long ends [s]."""
-_LEAST_BANDWIDTH = 1e6
-"""A state that is sent takes no longer than with this [bytes/s]."""
 
 
 class Agents(AgentReports):
@@ -353,6 +352,10 @@ class Agents(AgentReports):
             self._claims.note_told(computer, deployment.generation)
         return self._requests.begin(computer, deployment)
 
+    def begin_keeping(self, computer: str, copy: CheckpointCopy) -> PendingAnswer:
+        """As `keep_checkpoint`, but do not wait for the agent's answer."""
+        return self._requests.begin(computer, copy, keep_limit(copy))
+
     def begin_steps(self, computer: str, steps: MigrationSteps) -> PendingAnswer:
         """Let a container take steps; do not wait for its answer."""
         return self._requests.begin(computer, steps)
@@ -391,12 +394,7 @@ class Agents(AgentReports):
 
     def keep_checkpoint(self, computer: str, copy: CheckpointCopy) -> str:
         """Let an agent keep a state for a component that is to start there."""
-        limit = ANSWER_LIMIT + len(copy.data or b"") / _LEAST_BANDWIDTH
-        answer = self.request(computer, copy, limit)
-        if isinstance(answer, Accepted):
-            return ""
-        why = answer.reason if isinstance(answer, Refused) else str(answer)
-        return why if answer else f"no answer within {limit:.0f} s"
+        return why_not_kept(copy, self.request(computer, copy, keep_limit(copy)))
 
     def send_steps(
         self,

@@ -19,6 +19,7 @@ from poise.wire.codec import MALFORMED
 from poise.wire.records.request_records import (
     Accepted,
     Answer,
+    CheckpointCopy,
     Claimed,
     ManagerRequest,
     Refused,
@@ -36,6 +37,26 @@ _LAST_REPLY = 1.0
 """zenoh reports within this time after the steps' limit that no answer came [s]."""
 LOSS_DELAY = 0.5
 """The loss of an agent is known this long [s] after its connection ends, at most."""
+
+
+_LEAST_BANDWIDTH = 1e6
+"""A state is sent at this rate at least [bytes/s]."""
+
+
+def keep_limit(copy: CheckpointCopy) -> float:
+    """Return how long an agent may take to keep a state [s]."""
+    return ANSWER_LIMIT + len(copy.data or b"") / _LEAST_BANDWIDTH
+
+
+def why_not_kept(copy: CheckpointCopy, answer: Answer | None) -> str:
+    """Return why an agent did not keep a state; empty: it did.
+
+    `answer`: None: there was none within `keep_limit`.
+    """
+    if isinstance(answer, Accepted):
+        return ""
+    why = answer.reason if isinstance(answer, Refused) else str(answer)
+    return why if answer else f"no answer within {keep_limit(copy):.0f} s"
 
 
 class PendingAnswer:
@@ -72,7 +93,9 @@ class AgentRequests:
         self._clock = clock
         self._tokens = tokens
 
-    def begin(self, computer: str, request: Request) -> PendingAnswer:
+    def begin(
+        self, computer: str, request: Request, limit: float = ANSWER_LIMIT
+    ) -> PendingAnswer:
         """Ask an agent and do not wait: news come when it has answered, or cannot."""
         reply = PendingAnswer(self._tokens.get(computer, 0))
 
@@ -80,7 +103,7 @@ class AgentRequests:
             reply.set(_answer_of(received))
             self._reports.notify()
 
-        self._get(computer, request, ANSWER_LIMIT, take)
+        self._get(computer, request, limit, take)
         return reply
 
     def send(

@@ -16,7 +16,7 @@ from typing import Any
 from msgspec import structs
 from msgspec.msgpack import encode
 
-from poise.clock import Clock, SystemClock
+from poise.clock import Clock, SystemClock, wall_time
 from poise.estimate.code_version import version_of
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.statuses import gateways
@@ -25,11 +25,12 @@ from poise.manage.deploy.deployment_layout import DeploymentLayout
 from poise.manage.deploy.desired import Desired, Incarnation, OtherCode, difference
 from poise.manage.deploy.reconciler import JoiningComputer, Reconciler
 from poise.manage.journal import Journal
+from poise.manage.observe.deviations import Deviation
 from poise.manage.observe.troubles import ManagerParts
 from poise.model.check.allowed_computers import allowed_computers
 from poise.model.robot import Robot
 from poise.wire.records.deployment_records import Deployment
-from poise.wire.records.request_records import Claimed
+from poise.wire.records.request_records import CheckpointCopy, Claimed
 
 
 class DesiredState:
@@ -82,6 +83,8 @@ class DesiredState:
         self._deployed_for: object = None
         self.is_left = False
         """Whether it is left to another manager, or was stopped."""
+        self.lost_states: dict[str, Deviation] = {}
+        """Component -> how it lost its state when it was last started again."""
 
     @property
     def placed(self) -> Mapping[str, Incarnation]:
@@ -168,6 +171,13 @@ class DesiredState:
             generation=self._last_epoch,
         )
         self.commit(desired, "taking the robot over")
+
+    def note_lost_state(self, component: str, computer: str, what: str) -> None:
+        """Journal that a component lost its state; `status` shows it."""
+        self.journal.note("wrong", what)
+        self.lost_states[component] = Deviation(
+            what=what, computer=computer, component=component, since=wall_time()
+        )
 
     def leave(self) -> None:
         """Leave the robot as it is: a stop does nothing from now on."""
@@ -273,7 +283,9 @@ class DesiredState:
     def _note_claimed(self, computer: str, answer: Claimed) -> None:
         """Take in what an agent works towards that was claimed."""
         deployment = answer.deployment or Deployment(generation=0, containers=())
+        lacking = []
         if computer in self.claimed:  # this manager knows their components
+            lacking = self._lacking(computer, deployment)
             deployment = structs.replace(deployment, containers=())
         self._joining[computer] = JoiningComputer(
             computer,
@@ -282,10 +294,32 @@ class DesiredState:
             self.clock,
             self.batch_numbers,
             is_cut_off=answer.is_cut_off,
+            lacking=lacking,
         )
+
+    def _lacking(self, computer: str, deployment: Deployment) -> list[CheckpointCopy]:
+        """Return the checkpoints of what is placed, if an agent does not know of it.
+
+        So its folder is empty, as after a start of a computer that keeps it in memory.
+        """
+        known = {(c.name, c.epoch) for c in deployment.components}
+        copies = [
+            self.agents.checkpoints.get(*placed.key)
+            for placed in self.placed.values()
+            if placed.computer == computer and placed.key not in known
+        ]
+        return [copy for copy in copies if copy is not None]
 
     def _join_found(self, joining: Mapping[str, JoiningComputer]) -> None:
         """Adopt what is at work on computers that were claimed for the first time."""
+        for computer, each in joining.items():
+            for component, why in each.unkept().items():
+                self.note_lost_state(
+                    component,
+                    computer,
+                    f"component '{component}' starts on '{computer}' without the state "
+                    f"that it had: its agent did not take the checkpoint ({why})",
+                )
         deployments = {name: each.deployment for name, each in joining.items()}
         fenced = {name for name, each in joining.items() if each.is_cut_off}
         committed = frozenset[tuple[str, int]]().union(

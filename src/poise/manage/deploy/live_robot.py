@@ -26,12 +26,7 @@ from poise.manage.agent_connections.statuses import (
 from poise.manage.deploy.desired import Desired, Incarnation
 from poise.manage.deploy.desired_state import DesiredState
 from poise.manage.journal import Journal
-from poise.manage.observe.deviations import (
-    Deviation,
-    combined,
-    faults_after,
-    last_numbers,
-)
+from poise.manage.observe.deviations import combined, faults_after, last_numbers
 from poise.manage.tasks.prefetch_report import Switches
 from poise.model.robot import Robot
 from poise.units import counted
@@ -87,8 +82,6 @@ class LiveRobot(DesiredState):
         """Called at all news while agents are waited for; may raise to end that."""
         self.faults_before = last_numbers(agents.statuses())
         self._faults_before_commit = self.faults_before
-        self.lost_states: dict[str, Deviation] = {}
-        """Component -> how it lost its state when it was started elsewhere."""
         self.remaining = ""
         """What still runs after a stop, in words."""
         self.has_taken_over = False

@@ -35,6 +35,8 @@ class LostComputers:
             self._lost_at[computer] = wall_time()
             self._lost_moments[computer] = live.clock.now()
         self._was_cut_off: set[str] = set()
+        self._were_there: dict[tuple[str, int], str] = {}
+        """What was placed on a computer whose agent has been restarted since."""
         self._refused: dict[str, Deviation] = {}
         self._pids = _pids(live)
         self._began = wall_time()
@@ -64,6 +66,8 @@ class LostComputers:
             if status is not None and live.reconciler.is_current(computer, status):
                 self._note_back(computer, status)
         self._note_refusals()
+        if self._were_there:
+            self._note_lost_states()
 
     def away(self) -> frozenset[str]:
         """Return those that do not obey, or have not done what they were told since."""
@@ -161,6 +165,11 @@ class LostComputers:
         if self._is_replaced(computer):
             away = f"the agent of '{computer}' is being replaced by another one"
         live.journal.note("wrong", away)
+        self._were_there |= {
+            each.key: computer
+            for each in live.placed.values()
+            if each.computer == computer
+        }
 
     def _note_back(self, computer: str, status: AgentStatus) -> None:
         live = self._live
@@ -173,12 +182,44 @@ class LostComputers:
         if pid_before is None:
             what = f"computer '{computer}' is reached; its components keep running"
         elif pid_before != status.pid:
-            adopted = status.adopted
-            went_on = counted(adopted, "container") if adopted else "no container"
-            what = f"the agent of '{computer}' was restarted; {went_on} went on"
+            what = f"the agent of '{computer}' was restarted"
+            if status.took_over is not None:
+                num = len(status.took_over)
+                went_on = counted(num, "container") if num else "no container"
+                what = f"{what}; {went_on} went on"
         elif was_cut_off:
             what += "; its movable components were inactive meanwhile"
         live.journal.note("right", what)
+
+    def _note_lost_states(self) -> None:
+        """Say what has begun again without its state: its process had ended, too.
+
+        What ends while its agent runs is said by that.
+        """
+        live = self._live
+        placed = {each.key: each for each in live.placed.values()}
+        for key, computer in list(self._were_there.items()):
+            component = live.reported(placed[key]) if key in placed else None
+            if key not in placed:
+                del self._were_there[key]
+            elif component is not None and computer not in self._lost_at:
+                del self._were_there[key]
+                took_over = live.agents.statuses()[computer].took_over
+                container = live.layout.container_of(placed[key])
+                went_on = took_over is None or container in took_over
+                is_kept = live.agents.checkpoints.get(*key) is not None
+                if component.has_state and not went_on and not is_kept:
+                    self._note_lost_state(component.name, computer)
+
+    def _note_lost_state(self, name: str, computer: str) -> None:
+        why = "it has no `checkpoint` in the robot file"
+        if self._live.robot.component(name).checkpoint:
+            why = "no checkpoint of it was there yet"
+        what = (
+            f"component '{name}' began again on '{computer}' without the state that it "
+            f"had: its process had ended with the agent or the computer; {why}"
+        )
+        self._live.note_lost_state(name, computer, what)
 
     def _note_refusals(self) -> None:
         """Journal what an agent refuses, or does not answer, when that is new."""

@@ -12,17 +12,27 @@ may have ended since.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 from msgspec import Struct, structs
 
 from poise.clock import Clock
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.reports import LOOK_EVERY
-from poise.manage.agent_connections.requests import ANSWER_LIMIT, PendingAnswer
+from poise.manage.agent_connections.requests import (
+    ANSWER_LIMIT,
+    PendingAnswer,
+    keep_limit,
+    why_not_kept,
+)
 from poise.wire.records.deployment_records import Deployment
 from poise.wire.records.migration_records import MigrationSteps, Step, StepsDone
-from poise.wire.records.request_records import Accepted, Claimed, Refused
+from poise.wire.records.request_records import (
+    Accepted,
+    CheckpointCopy,
+    Claimed,
+    Refused,
+)
 from poise.wire.records.status_records import AgentStatus
 
 APPLY_LIMIT = 1.0
@@ -170,8 +180,11 @@ def halt(number: int, container: str) -> MigrationSteps:
 class JoiningComputer:
     """Asks the containers of targets whether these count; waits for nothing.
 
+    Its agent gets the checkpoints that it has lost, before anything is started there.
+
     `deployment`: what its agent works towards.
     `is_cut_off`: whether its lease had ended when it was claimed.
+    `lacking`: copies of these checkpoints.
     `committed`: component and epoch of targets that count. That of a container which
     does not answer does, too: unknown is never taken for "no".
     """
@@ -185,6 +198,7 @@ class JoiningComputer:
         numbers: Iterator[int],
         *,
         is_cut_off: bool,
+        lacking: Iterable[CheckpointCopy] = (),
     ) -> None:
         self.deployment = deployment
         self.is_cut_off = is_cut_off
@@ -207,6 +221,10 @@ class JoiningComputer:
         self._asked: dict[str, PendingAnswer] = {}
         self._again_at = float("-inf")
         self._until = clock.now() + WITNESS_LIMIT
+        self._sent = [(copy, agents.begin_keeping(computer, copy)) for copy in lacking]
+        self._sent_until = clock.now() + max(
+            [keep_limit(copy) for copy, _ in self._sent], default=0.0
+        )
 
     def is_known(self) -> bool:
         """Take in what was answered, and ask the others again; return whether all is.
@@ -226,7 +244,16 @@ class JoiningComputer:
             self.committed.update(*self._targets.values())
             self._targets = {}
         self._ask(now)
-        return not self._targets
+        is_sent = all(reply.is_done for _, reply in self._sent)
+        return not self._targets and (is_sent or now >= self._sent_until)
+
+    def unkept(self) -> dict[str, str]:
+        """Return which states its agent did not keep, and why; once all is known."""
+        answers = [
+            (copy.component, why_not_kept(copy, reply.answer))
+            for copy, reply in self._sent
+        ]
+        return {component: why for component, why in answers if why}
 
     def _ask(self, now: float) -> None:
         for container in self._targets:

@@ -6,7 +6,6 @@ from collections.abc import Collection, Mapping, Sequence
 
 from msgspec import structs
 
-from poise.clock import wall_time
 from poise.errors import RunError, UsageError
 from poise.manage.agent_connections.statuses import located
 from poise.manage.deploy.desired import Incarnation
@@ -17,7 +16,6 @@ from poise.manage.migration.migration_report import (
     TransitionStep,
 )
 from poise.manage.migration.move import plan_move, with_checkpoint
-from poise.manage.observe.deviations import Deviation
 from poise.units import counted
 
 _LOOK_EVERY = 0.02
@@ -112,11 +110,7 @@ def _note_lost_state(live: LiveRobot, before: Incarnation) -> None:
     if has_checkpoint:
         why = "this manager has no copy of its checkpoint"
     lost = f"without the state that it had on '{before.computer}': {why}"
-    what = f"component '{name}' started {lost}"
-    live.journal.note("wrong", what)
-    live.lost_states[name] = Deviation(
-        what=what, computer=before.computer, component=name, since=wall_time()
-    )
+    live.note_lost_state(name, before.computer, f"component '{name}' started {lost}")
 
 
 def transit(live: LiveRobot, steps: tuple[TransitionStep, ...]) -> TransitionReport:

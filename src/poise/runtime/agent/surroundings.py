@@ -128,7 +128,7 @@ class ContainerHost(Protocol):
 class LeftContainers(Protocol):
     """Containers that an earlier agent has left: some may run and not have asked."""
 
-    num_adopted: int
+    adopted: list[str]
 
     def awaits(self, container: str) -> bool:
         """Return whether a container may run still, and so must not be started."""

@@ -42,7 +42,7 @@ class AdoptedContainers:
         self._until = clock.now() + ADOPT_LIMIT
         self._pidfds: dict[int, int] = {}
         self._left: dict[Path, int] = {}
-        self.num_adopted = 0
+        self.adopted: list[str] = []
         self._listening = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._listening.setblocking(False)
         with rights_of(account):
@@ -85,7 +85,7 @@ class AdoptedContainers:
             is_foreign = self._is_foreign(orphan.pid) or may_shrink(stats_page)
             if not is_foreign and self.watch(orphan.pid):
                 self._left.pop(socket_path(self._folder, orphan.container), None)
-                self.num_adopted += 1
+                self.adopted.append(orphan.container)
                 return orphan, connection, stats_page
             if is_foreign:
                 log.warning("process %d is not a container of this agent", orphan.pid)

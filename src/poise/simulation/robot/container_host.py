@@ -171,7 +171,7 @@ class SimulatedAdoption:
         self._world = world
         self._agent = agent
         computer = agent.process.computer
-        self.num_adopted = 0
+        self.adopted: list[str] = []
         self._limit = computer.monotonic() + ADOPT_LIMIT
         self._left = {
             container.process.pid: container
@@ -224,7 +224,7 @@ class SimulatedAdoption:
             control = SimulatedControl(agent, container, born=True)
             agent.watchdog.watch(container)
             if agent.core.on_orphan(container.name, pid, control):
-                self.num_adopted += 1
+                self.adopted.append(container.name)
             else:
                 container.process.kill()
 

@@ -18,7 +18,7 @@ from poise.wire.records.code_records import CodePart, CodeReceived, InstallCode
 from poise.wire.records.deployment_records import Deployment
 from poise.wire.records.migration_records import MigrationSteps, StepsDone, StepsFailed
 
-PROTOCOL = 13
+PROTOCOL = 14
 """The version of all records here and beside, higher where one of them has changed."""
 LEAST_PROTOCOL = 12
 """The oldest version whose programs this one understands, and that understand it.

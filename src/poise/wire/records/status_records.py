@@ -238,8 +238,9 @@ class AgentStatus(Struct, frozen=True, kw_only=True, dict=True):
     version: str = ""  # Of Poise
     computer: str
     pid: int = 0  # The agent's process
-    # How many containers of an earlier agent, which was killed, it took over
-    adopted: int = 0
+    # The containers of an earlier agent, which was killed, that it took over; None: not
+    # known (before protocol 14)
+    took_over: tuple[str, ...] | None = None
     generation: int
     # Whether the robot is at work for all that it knows, though not here
     is_at_work: bool = False
