@@ -35,7 +35,11 @@ class SqliteFile:
             raise UsageError(f"{path} cannot store {holds}: {why}") from error
         except sqlite3.Error as error:
             raise self._broken(error) from error
-        self.execute(schema)
+        try:
+            self.execute(schema)
+        except UsageError:
+            self._database.close()
+            raise
 
     def __enter__(self) -> Self:
         return self
