@@ -65,7 +65,7 @@ lint: setup
 # The stubs of the native modules, as their signatures say; what they do stands in the headers.
 stubs: setup
 	@for module in plan/_core estimate/_change_point runtime/_calls simulation/_engine wire/_channel; do \
-	  $(BIN)/python -m nanobind.stubgen -q -m poise.$$(echo $$module | tr / .) -o src/poise/$$module.pyi; \
+	  $(BIN)/python -m nanobind.stubgen -q -p .ci/stubs.txt -m poise.$$(echo $$module | tr / .) -o src/poise/$$module.pyi; \
 	done
 	@$(BIN)/ruff check -q --fix --exit-zero src/poise/*/_*.pyi >/dev/null
 	@$(BIN)/ruff format -q src/poise/*/_*.pyi
