@@ -309,6 +309,7 @@ class FakeAgents:
         return AgentStatus(
             computer=computer,
             pid=before.pid if before else 0,
+            key=before.key if before else "",
             took_over=before.took_over if before else (),
             generation=deployment.generation,
             uptime=0,

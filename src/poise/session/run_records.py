@@ -84,7 +84,7 @@ def cpu_shares(
         first, last = begin.get(computer.name), end.get(computer.name)
         if first is None or last is None:
             continue
-        if first.pid != last.pid:  # its agent was started again, and counts from 0
+        if first.start != last.start:  # its agent was started again, and counts from 0
             first = structs.replace(first, cpu=0.0, uptime=0.0)
         if last.uptime <= first.uptime:
             continue
@@ -271,7 +271,7 @@ def component_reports(
 
 def _seconds(first: AgentStatus | None, last: AgentStatus, about: float) -> float:
     """Return the time between two statuses of a computer [s], `about` so long."""
-    if first is not None and first.pid != last.pid:
+    if first is not None and first.start != last.start:
         return about  # its agent was started again, and counts from 0
     return last.uptime - (first.uptime if first else 0.0) or math.inf
 

@@ -33,7 +33,7 @@ def test_an_agent_that_was_back_before_anybody_looked_is_told_of(robot: Robot) -
     lost.note()
     assert len(journal.entries()) == before
     status = agents.statuses()["right"]
-    agents.report(structs.replace(status, pid=8, took_over=("mind",)))
+    agents.report(structs.replace(status, key="next", took_over=("mind",)))
     live.reconcile()
     for _ in range(2):
         lost.note()

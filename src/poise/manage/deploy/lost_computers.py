@@ -38,13 +38,13 @@ class LostComputers:
         self._were_there: dict[tuple[str, int], str] = {}
         """What was placed on a computer whose agent has been restarted since."""
         self._refused: dict[str, Deviation] = {}
-        self._pids = _pids(live)
+        self._starts = _starts(live)
         self._began = wall_time()
 
     def note(self) -> None:
         """Journal which computers were lost, which are back, and which refuse."""
         live = self._live
-        pids = _pids(live)
+        starts = _starts(live)
         obeying = {
             computer for computer in live.computers() if live.agents.obey(computer)
         }
@@ -52,7 +52,7 @@ class LostComputers:
             computer
             for computer in self._obeying & obeying
             # an agent that was restarted at once obeys whom the one before it obeyed
-            if pids.get(computer) != self._pids.get(computer)
+            if starts.get(computer) != self._starts.get(computer)
         }
         for computer in sorted(self._obeying - obeying | restarted):
             self._note_lost(computer)
@@ -177,11 +177,11 @@ class LostComputers:
         del self._lost_at[computer], self._lost_moments[computer]
         was_cut_off = computer in self._was_cut_off
         self._was_cut_off.discard(computer)
-        pid_before, self._pids[computer] = self._pids.get(computer), status.pid
+        before, self._starts[computer] = self._starts.get(computer), status.start
         what = f"computer '{computer}' is reached again"
-        if pid_before is None:
+        if before is None:
             what = f"computer '{computer}' is reached; its components keep running"
-        elif pid_before != status.pid:
+        elif before != status.start:
             what = f"the agent of '{computer}' was restarted"
             if status.took_over is not None:
                 num = len(status.took_over)
@@ -236,6 +236,6 @@ class LostComputers:
                 live.journal.note("failed", what)
 
 
-def _pids(live: LiveRobot) -> dict[str, int]:
-    """Return the processes of the agents, by computer."""
-    return {name: status.pid for name, status in live.agents.statuses().items()}
+def _starts(live: LiveRobot) -> dict[str, tuple[int, str]]:
+    """Return which start of its agent each computer has."""
+    return {name: status.start for name, status in live.agents.statuses().items()}

@@ -44,7 +44,7 @@ TRY_AGAIN = 1.0
 
 class _AskedAgent(Struct):
     sent: Deployment | None = None
-    pid: int = 0
+    start: tuple[int, str] = 0, ""
     sent_at: float = float("-inf")
     again_at: float = float("-inf")
     reply: PendingAnswer | None = None
@@ -100,7 +100,7 @@ class Reconciler:
             and _same(agent.sent, wanted)
         ):
             return
-        agent.sent, agent.pid, agent.sent_at = wanted, status.pid, now
+        agent.sent, agent.start, agent.sent_at = wanted, status.start, now
         agent.refusal = ""
         agent.reply = self._agents.begin_deploy(computer, wanted)
         agent.is_claim = False
@@ -126,7 +126,7 @@ class Reconciler:
         self, agent: _AskedAgent, wanted: Deployment, status: AgentStatus, now: float
     ) -> bool:
         sent = agent.sent
-        if sent is None or agent.pid != status.pid or not _same(sent, wanted):
+        if sent is None or agent.start != status.start or not _same(sent, wanted):
             return False
         if agent.reply is not None:
             return True

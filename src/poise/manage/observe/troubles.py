@@ -141,7 +141,8 @@ class CodeErrors:
                         and component.name not in self._counts
                     ):
                         continue
-                    stay = container.pid, component.epoch
+                    # another boot may give the same number
+                    stay = container.pid, component.start, component.epoch
                     raised = _raised(component, computer)
                     is_told = are_known or component.state == "failed"
                     self._take(component.name, stay, raised, now, is_told=is_told)

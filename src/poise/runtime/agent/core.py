@@ -386,6 +386,7 @@ class AgentCore:
             version=world.version,
             computer=self._setup.computer,
             pid=world.pid,
+            key=world.key,
             took_over=tuple(world.adoption.adopted),
             generation=wanted.generation if wanted else 0,
             is_at_work=not self._is_over(),

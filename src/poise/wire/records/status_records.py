@@ -238,6 +238,8 @@ class AgentStatus(Struct, frozen=True, kw_only=True, dict=True):
     version: str = ""  # Of Poise
     computer: str
     pid: int = 0  # The agent's process
+    # Of this start: another boot may give the same number; empty before protocol 14
+    key: str = ""
     # The containers of an earlier agent, which was killed, that it took over; None: not
     # known (before protocol 14)
     took_over: tuple[str, ...] | None = None
@@ -283,6 +285,11 @@ class AgentStatus(Struct, frozen=True, kw_only=True, dict=True):
     unmanaged: float = 0.0
     # How the ways to other computers are, by name
     links: Mapping[str, LinkQuality] = {}
+
+    @property
+    def start(self) -> tuple[int, str]:
+        """What tells this start of the agent from all others."""
+        return self.pid, self.key
 
     @cached_property
     def components(self) -> tuple[ComponentStatus, ...]:
