@@ -192,6 +192,18 @@ def test_wheels_come_along(field: Field) -> None:
         assert "first1.5 of " in field.log()
 
 
+def test_it_is_said_that_native_code_is_for_another_machine(field: Field) -> None:
+    (field.source / "lens.abi3.so").write_bytes(
+        b"\x7fELF\2\1".ljust(18, b"\0") + b"\x4b\0"
+    )
+    field.write_code("first", "def look():\n    import lens")
+    code, said = field.poise("deploy", str(field.file))
+    assert code == 0, said
+    for name in NAMES:
+        assert f"{name} is {os.uname().machine} with Python 3." in said
+    assert said.count(", and cannot run lens, which is for machine 75: build it") == 2
+
+
 def test_a_computer_that_is_lost_meanwhile_keeps_what_it_has(field: Field) -> None:
     first = field.deploy()
     field.write_code("second", f"DATA = {'x' * 20_000_000!r}\n")

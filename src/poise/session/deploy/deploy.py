@@ -31,6 +31,7 @@ from poise.manage.agent_connections.requests import AgentRequests
 from poise.model.robot import Robot
 from poise.session import Check, Say, log, nothing
 from poise.session.arguments import check_robot
+from poise.session.deploy.native_code import unfit
 from poise.session.launch.computers import Computers, real_agents
 from poise.units import format_bytes
 from poise.wire.codec import MALFORMED
@@ -189,8 +190,10 @@ def deploy(robot: Robot, *, say: Say = log.info, check: Check = nothing) -> Depl
                 f"{', '.join(f'{n} ({w})' if w else n for n, w in why.items())}"
             )
         statuses = reports.statuses()
-        platforms = {statuses[name].platform for name in names}
-        manifest = lock_wheels(robot.folder, platforms)
+        platforms = {name: statuses[name].platform for name in names}
+        for sentence in unfit(_files(robot), platforms):
+            say(sentence)
+        manifest = lock_wheels(robot.folder, set(platforms.values()))
         archive = pack(robot, manifest)
         version = version_of(archive)
         sent, failures = {}, []
@@ -198,7 +201,7 @@ def deploy(robot: Robot, *, say: Say = log.info, check: Check = nothing) -> Depl
             try:
                 files = {}
                 if version not in statuses[name].code:
-                    wheels = files_for(manifest, statuses[name].platform)
+                    wheels = files_for(manifest, platforms[name])
                     files = {d: path.read_bytes() for d, path in wheels.items()}
                     files[version] = archive
                 # also where it is: it is the last one deployed then
