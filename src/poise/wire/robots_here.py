@@ -7,6 +7,8 @@ the robot has stopped.
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import os
 import socket
 import struct
@@ -46,7 +48,27 @@ def make_folder() -> Path:
         raise RunError(
             f"{made} is another user's: set XDG_RUNTIME_DIR to a folder of yours"
         )
+    if _held and not os.path.samestat(os.fstat(_held[0]), made.stat()):
+        os.close(_held.pop())
+    if not _held:
+        _held.append(hold(made))
     return made
+
+
+_held: list[int] = []
+"""What keeps the files in that folder, for as long as this process lives."""
+
+
+def hold(folder: Path) -> int:
+    """Return a descriptor that keeps the files in a folder while it is open.
+
+    systemd removes files in /tmp after some days, but none from a folder that is locked
+    (tmpfiles.d(5)).
+    """
+    held = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    with contextlib.suppress(OSError):  # not every file system has locks
+        fcntl.flock(held, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    return held
 
 
 def path_of(robot: str) -> Path:

@@ -36,7 +36,7 @@ from poise.wire.records.request_records import (
     checkpoint_path,
     set_age,
 )
-from poise.wire.robots_here import AgentAddresses, forget, note, noted_of
+from poise.wire.robots_here import AgentAddresses, forget, hold, note, noted_of
 
 log = logging.getLogger(__name__)
 
@@ -46,6 +46,7 @@ class AgentFolder:
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / "state"
+        hold(folder)  # for as long as anything that is forked here lives
         self._lock = os.open(folder / "lock", os.O_RDWR | os.O_CREAT, 0o600)
         self._boot = boot_id()
         self._saved = AgentState()

@@ -1,0 +1,41 @@
+"""The files of running robots in /tmp outlive what removes old files there."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+from pathlib import Path
+
+import pytest
+
+from poise.runtime.agent.agent_files import AgentFolder
+from poise.wire.robots_here import AgentAddresses, folder, note
+
+
+def is_cleaned(place: Path) -> bool:
+    """Return whether systemd-tmpfiles would look into a folder."""
+    opened = os.open(place, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        fcntl.flock(opened, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    finally:
+        os.close(opened)
+    return True
+
+
+def test_notes_stay_while_who_wrote_them_lives(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("first", "second"):
+        monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / name))
+        folder().mkdir(parents=True)
+        assert is_cleaned(folder())
+        note(AgentAddresses("hello", {}))
+        assert not is_cleaned(folder())
+
+
+def test_what_an_agent_keeps_stays_while_it_lives(tmp_path: Path) -> None:
+    assert is_cleaned(tmp_path)
+    AgentFolder(tmp_path)
+    assert not is_cleaned(tmp_path)
