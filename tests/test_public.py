@@ -18,6 +18,7 @@ STUBS = sorted(SOURCE.rglob("*.pyi"))
 
 PUBLIC = {
     "poise": [
+        "AlreadyManaged",
         "Calibration",
         "CallError",
         "CalleeError",

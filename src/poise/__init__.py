@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from poise.clock import Stamp as Stamp
+    from poise.errors import AlreadyManaged as AlreadyManaged
     from poise.errors import CalleeError as CalleeError
     from poise.errors import CallError as CallError
     from poise.errors import CannotCross as CannotCross
@@ -86,6 +87,7 @@ if TYPE_CHECKING:
     from poise.wire.connections.blocks import loan as loan
 else:
     _HOMES = {
+        "AlreadyManaged": "errors",
         "Calibration": "session.profiling.calibrate",
         "CallError": "errors",
         "CalleeError": "errors",

@@ -6,6 +6,7 @@
       UsageError        you called it wrongly: correct the call
       RobotError        the robot file or a problem is wrong: correct the file
       RunError          the world broke: a process, a computer or a link
+        AlreadyManaged  another manager has the robot, and agents refuse this one
         TakenOver       another manager has the robot now, which goes on
         NoManager       the robot goes on, and no manager of it answers
         CallError       a call through a connector did not bring back a result
@@ -74,6 +75,12 @@ class RobotError(PoiseError):
 
 class RunError(PoiseError):
     """Something in the running world broke: a process, a computer, a link."""
+
+
+class AlreadyManaged(RunError):
+    """Another manager has the robot, whose agents refuse this one; nothing changed."""
+
+    exit_code = 3
 
 
 class TakenOver(RunError):

@@ -400,11 +400,11 @@ def test_a_second_manager_is_refused_until_the_first_is_gone(
     other = tmp_path / "two"
     other.mkdir()
     second = Up(field, other)
-    assert second.process.wait(LONG) == 1
+    assert second.process.wait(LONG) == 3
     pid = up.process.pid
     assert second.says(rf"'{field.name}' is managed by user .*\(process {pid}\) since")
     stop = run_poise("stop", "--file", field.file)
-    assert stop.returncode == 1
+    assert stop.returncode == 3
     assert f"(process {pid})" in stop.stderr
     assert field.pids() == before
     wait_long(is_well)

@@ -90,8 +90,8 @@ _NAMING = {"agent"}
 
 _EXIT_CODES = (
     "Exit codes: 0 done; 1 the robot file has problems, nothing can be placed, or "
-    "something failed; 2 wrong arguments, or refused; 3 another manager took over; "
-    "4 no manager answers; 128 + n ended by signal n (130: Ctrl-C)."
+    "something failed; 2 wrong arguments, or refused; 3 another manager has the "
+    "robot; 4 no manager answers; 128 + n ended by signal n (130: Ctrl-C)."
 )
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Self
 from msgspec.structs import replace
 
 from poise.clock import Clock
-from poise.errors import RunError
+from poise.errors import AlreadyManaged, RunError
 from poise.manage.agent_connections.claims import Claims, has_ended, manager_id
 from poise.manage.agent_connections.reachability import AgentHeartbeats
 from poise.manage.agent_connections.reports import (
@@ -261,11 +261,12 @@ class Agents(AgentReports):
             answers = self.request_all(claims, _VOTE_LIMIT)
             accepted = {n: a for n, a in answers.items() if isinstance(a, Claimed)}
             if not self._claims.has_majority(accepted):
-                refused = (a for a in answers.values() if isinstance(a, Refused))
+                refused = [a for a in answers.values() if isinstance(a, Refused)]
                 said = sorted({answer.reason for answer in refused})
                 away = sorted(votes.keys() - computers)
                 said += [f"not reached: {', '.join(away)}"] if away else []
-                raise RunError(f"no majority of votes: {'; '.join(said)}")
+                text = f"no majority of votes: {'; '.join(said)}"
+                raise _error_of(text, *refused)
             return accepted
 
         agreed = self._poll(
@@ -333,7 +334,7 @@ class Agents(AgentReports):
                 self._claims.accept(computer, answers[computer])
                 return answers[computer]
             if self._clock.now() >= until:
-                raise RunError(refusals[computer])
+                raise _error_of(refusals[computer], answers.get(computer))
             self._clock.sleep(LOOK_EVERY)
 
     def begin_claim(self, computer: str) -> PendingAnswer:
@@ -427,6 +428,12 @@ class Agents(AgentReports):
 
     def _on_ended_agent(self, computer: str) -> None:
         self.heartbeats.note_ended(computer)
+
+
+def _error_of(text: str, *answers: Answer | None) -> RunError:
+    """Return an error for agents that did not accept a claim."""
+    are_taken = any(isinstance(a, Refused) and a.obeys_another for a in answers)
+    return AlreadyManaged(text) if are_taken else RunError(text)
 
 
 def _datagrams(

@@ -182,7 +182,7 @@ def _elected(live: LiveRobot, hint: str, *, by_force: bool) -> dict[str, Deploym
         answers = live.agents.elect(take_over=by_force)
     except RunError as error:
         live.leave()
-        raise RunError(f"{error}{hint}") from None
+        raise type(error)(f"{error}{hint}") from None
     live.claimed |= answers.keys()
     away = {computer.name for computer in live.robot.computers} - answers.keys()
     found = {n: answer.deployment for n, answer in answers.items() if answer.deployment}
@@ -427,6 +427,7 @@ def _claim(
     """
     deployments: dict[str, Deployment] = {}
     unclaimed: dict[str, str] = {}
+    kind = RunError
     computers = sorted(live.computers())
     for computer in computers:
         try:
@@ -434,12 +435,13 @@ def _claim(
         except RunError as error:
             unclaimed[computer] = str(error)
             if computer == computers[0] and computer in live.computers():
+                kind = type(error)
                 break  # another manager has the robot
         else:
             live.claimed.add(computer)
     if computers and computers[0] in unclaimed and not deployments:
         live.leave()
-        raise RunError(f"{unclaimed[computers[0]]}; {_TAKE_OVER}")
+        raise kind(f"{unclaimed[computers[0]]}; {_TAKE_OVER}")
     return deployments, unclaimed
 
 

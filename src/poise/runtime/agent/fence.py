@@ -134,7 +134,7 @@ class Fence:
             is_free = is_free or is_unheard or before.key in self._ended
             is_later = is_later and manager.term > before.term
         if not is_free or not is_later:
-            return Refused(self._manages())
+            return Refused(self._manages(), obeys_another=True)
         if not claim.is_poll:
             self.manager, self.token, self._is_expired = manager, token, False
         return None

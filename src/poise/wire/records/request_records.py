@@ -264,6 +264,8 @@ class Refused(Struct, frozen=True, tag=True):
     """An agent's answer: it changed nothing, and why."""
 
     reason: str
+    # Whether it obeys another manager
+    obeys_another: bool = False
 
 
 Answer = (
