@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import stat
 from pathlib import Path
 
@@ -101,6 +102,22 @@ def test_keys_that_have_ended_are_refused(authority: Authority) -> None:
     keys = issue(authority, days=-0.01)
     with pytest.raises(UsageError, match="of agent left has ended"):
         keys.check("hello", "agent")
+
+
+def test_keys_before_their_time_say_that_the_clock_is_wrong(
+    authority: Authority, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    keys = issue(authority)
+    leads = authority.issue("me", "manager", authority.folder.parent / "me")
+    monkeypatch.setattr("poise.wire.credentials.wall_time", lambda: 0.0)
+    assert re.search(
+        r"of agent left holds from 20\S+ \S+ UTC on, and it is 1970-01-01 00:00 UTC by "
+        "this computer's clock: set the clock",
+        keys.warning(),
+    )
+    assert keys.check("hello", "agent") is keys  # its clock may be set in a moment
+    with pytest.raises(UsageError, match="set the clock"):
+        leads.check("hello", "manager")
 
 
 def test_there_is_one_authority(authority: Authority) -> None:

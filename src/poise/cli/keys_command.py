@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import sys
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, get_args
 
@@ -17,7 +16,7 @@ from poise.errors import PoiseError, UsageError, did_you_mean
 from poise.session.keys import DAYS, MOST_DAYS, authority_of, init_keys
 from poise.session.render.tables import table
 from poise.units import quoted
-from poise.wire.credentials import Credentials, Role, folders
+from poise.wire.credentials import Credentials, Role, folders, minute
 
 RobotName = Annotated[str, typer.Argument(help="The robot's name.", show_default=False)]
 Folder = Annotated[
@@ -104,7 +103,7 @@ def issue_command(
         issued = authority.issue(name, of_role, out / name, days=days)
         if leads:
             authority.issue(name, "manager", issued.to_lead, days=days)
-        typer.echo(f"{issued.folder}: {issued.name}, until {_day(issued.expires)}")
+        typer.echo(f"{issued.folder}: {issued.name}, until {minute(issued.expires)}")
     if issued.expires >= authority.ends.timestamp():
         typer.echo(
             f"the authority ends then, too: `poise keys rotate {robot}` makes another"
@@ -160,7 +159,7 @@ def list_command(
         raise UsageError(f"there are no keys of robot '{robot}' in {where}")
     shown = table("robot", "keys of", "until", "folder")
     for keys in credentials:
-        shown.add_row(keys.robot, keys.name, _day(keys.expires), str(keys.folder))
+        shown.add_row(keys.robot, keys.name, minute(keys.expires), str(keys.folder))
     listed = [
         KeysListed(k.robot, k.name, str(k.folder), k.expires) for k in credentials
     ]
@@ -200,10 +199,6 @@ def _role(text: str) -> Role:
             return role
     guess = did_you_mean(text, roles)
     raise UsageError(f"--role {text}{guess}: it is {' or '.join(roles)}")
-
-
-def _day(moment: float) -> str:
-    return f"{datetime.fromtimestamp(moment, UTC):%Y-%m-%d %H:%M} UTC"
 
 
 keys_command = list_command

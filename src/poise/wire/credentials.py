@@ -12,6 +12,7 @@ import hmac
 import os
 import ssl
 from collections.abc import Iterator, Mapping, Sequence
+from datetime import UTC, datetime
 from functools import cached_property
 from hashlib import blake2s
 from pathlib import Path
@@ -31,6 +32,11 @@ WARN_BEFORE = 14 * 86400.0
 """The end of a certificate is warned of this time before [s]."""
 TAG_SIZE = 16
 _PRIVATE = 0o077
+
+
+def minute(moment: float) -> str:
+    """Return a moment [s since 1970] for people, to the minute."""
+    return f"{datetime.fromtimestamp(moment, UTC):%Y-%m-%d %H:%M} UTC"
 
 
 class Credentials:
@@ -79,9 +85,20 @@ class Credentials:
         """When the certificate ends [s, since the epoch]."""
         return ssl.cert_time_to_seconds(self._decoded["notAfter"])
 
+    @property
+    def begins(self) -> float:
+        """From when on the certificate holds [s, since the epoch]."""
+        return ssl.cert_time_to_seconds(self._decoded["notBefore"])
+
     def warning(self) -> str:
         """Return what is wrong with the certificate, or soon is; empty: nothing."""
-        left = self.expires - wall_time()
+        now = wall_time()
+        if now < self.begins:  # as on a board without a clock that goes on
+            return (
+                f"the certificate of {self.name} holds from {minute(self.begins)} on, "
+                f"and it is {minute(now)} by this computer's clock: set the clock"
+            )
+        left = self.expires - now
         if left > WARN_BEFORE:
             return ""
         ends = "has ended" if left <= 0 else f"ends in {left / 86400:.1f} days"
@@ -100,7 +117,9 @@ class Credentials:
             )
         if self.role != "viewer":
             self._raise_if_missing(HEARTBEATS)
-        if self.expires <= wall_time():
+        # the clock of an agent's computer may be set in a moment
+        is_early = "agent" not in roles and wall_time() < self.begins
+        if is_early or self.expires <= wall_time():
             raise UsageError(self.warning())
         return self
 

@@ -43,6 +43,8 @@ def _of_keys(plain: socket.socket, keys: Credentials) -> str:
     try:
         secured = keys.client.wrap_socket(plain)
     except ssl.SSLCertVerificationError as error:
+        if "not yet valid" in error.verify_message:
+            return "its certificate does not hold yet: is this computer's clock right?"
         return (
             f"its certificate is not of this robot or has ended ({error.verify_message}"
             "): `poise keys issue` makes another"
@@ -56,5 +58,8 @@ def _of_keys(plain: socket.socket, keys: Credentials) -> str:
         return ""
     except OSError as error:
         reason = getattr(error, "reason", error)
-        return f"it refuses the keys in {keys.folder} ({reason})"
+        said = f"it refuses the keys in {keys.folder} ({reason})"
+        # what has ended by this computer's clock is refused before anybody connects
+        is_clock = "CERTIFICATE_EXPIRED" in str(reason)
+        return f"{said}: is the clock of its computer right?" if is_clock else said
     return ""
