@@ -58,6 +58,16 @@ def programs_without_compilers(folder: Path) -> Path:
     return folder
 
 
+TWO_MODULES = """
+from poise.wire import _channel
+from poise.runtime._calls import Exclusion
+exclusion = Exclusion("eye")
+exclusion.leave()
+exclusion.leave()
+"""
+"""The second module raises; each has a C++ library of its own."""
+
+
 @pytest.mark.parametrize("minor", [11, 12, 13, 14])
 def test_a_robot_runs_where_there_is_no_compiler(
     minor: int, dist: Path, tmp_path: Path
@@ -92,6 +102,8 @@ def test_a_robot_runs_where_there_is_no_compiler(
         assert installed.returncode == 0, installed.stderr
     assert run("poise", "--version").stdout == f"poise {wheel.name.split('-')[1]}\n"
     assert run("poise", "check", "robot.yaml").returncode == 0
+    raised = run("python", "-c", TWO_MODULES).stderr.splitlines()[-1]
+    assert raised == "RuntimeError: nobody is inside"
     hello = run("poise", "run", "robot.yaml", "--task", "greet", "--for", "3s")
     assert "printer has 20" in hello.stderr, hello.stdout + hello.stderr
 
