@@ -277,7 +277,25 @@ def _push_for_ever(channel: Channel, limit: float = SHORT) -> None:
 
 
 @both
-def test_messages_after_a_time_limit_do_not_overtake_those_before(wire: Wire) -> None:
+def test_messages_do_not_wait_for_a_sender_that_left_without_a_word(
+    wire: Wire, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(connection_server, "_PATIENCE", 0.1)
+    wire.server().open("echo", receiver := Receiver())
+    lost, other = wire.channel(), wire.channel()
+    lost.push(message("before"), LIMIT)  # its connection stays open
+    other.push(message("after"), LIMIT)
+    assert receiver.wait_for(2) == ["before", "after"]
+
+
+@both
+@pytest.mark.parametrize("pause", [0.0, 0.03])
+def test_messages_after_a_time_limit_do_not_overtake_those_before(
+    wire: Wire, monkeypatch: pytest.MonkeyPatch, pause: float
+) -> None:
+    """Nor do those get lost which a slow receiver has not got by then."""
+    if pause:
+        monkeypatch.setattr(connection_server, "_PATIENCE", 0.25)
     came: list[str] = []
     go_on, all_came = threading.Event(), threading.Event()
 
@@ -286,6 +304,7 @@ def test_messages_after_a_time_limit_do_not_overtake_those_before(wire: Wire) ->
         if came[-1] == "last":
             all_came.set()
         go_on.wait(LIMIT)
+        time.sleep(pause)
 
     wire.server().open("echo", handle)
     channel = wire.channel()

@@ -27,6 +27,7 @@ import pytest
 
 from poise.errors import Timeout, Unavailable
 from poise.wire import frame
+from poise.wire.address import peek
 from poise.wire.codec import Unreadable, WireError, codec
 from poise.wire.connections.blocks import DATA, MOST_BYTES, MOST_LENT, Block, Blocks
 from poise.wire.connections.connection import Connection
@@ -507,3 +508,18 @@ def test_a_sender_that_goes_amid_copying_leaves_no_frame(half: Known) -> None:
 def test_the_rest_has_a_limit(half: Known) -> None:
     with pytest.raises(Timeout, match="in time"):
         half[1].receive(time.monotonic() + 0.01)
+
+
+def test_a_connection_is_drained_when_all_is_read_and_nothing_comes() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        theirs = socket.create_connection(server.getsockname())
+        ours = Connection(server.accept()[0])
+    theirs.sendall(bytes(3))
+    wait_until(lambda: peek(ours._connection, 3) == bytes(3))
+    assert not ours.is_drained(0.0)
+    ours._connection.recv(3)
+    assert ours.is_drained(0.0)
+    assert not ours.is_drained(LONG)
+    ours.close()
+    assert ours.is_drained(LONG)
+    theirs.close()

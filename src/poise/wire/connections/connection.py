@@ -21,6 +21,7 @@ import errno
 import math
 import os
 import socket
+import sys
 import threading
 from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
@@ -46,6 +47,8 @@ _SLOT_AT = 8
 LAST_ANSWER = 1
 """The number in an answer behind which the connection is closed; others have none."""
 _LOST = {errno.ETIMEDOUT, errno.EHOSTUNREACH, errno.ENETUNREACH}
+_LAST_DATA = slice(52, 56)
+"""In the kernel's `tcp_info`: how long ago the last data came [ms]."""
 _INLINE = 2
 """The first pieces of a frame are its head and body; padding and buffers follow."""
 _ALONE = _INLINE + 3
@@ -96,6 +99,17 @@ class Connection:
             return bool(data) and self._reader is not None
         self.is_lost = self._channel.is_lost()
         return not self.is_lost
+
+    def is_drained(self, silence: float) -> bool:
+        """Return whether all that came is read, and nothing came for `silence` [s]."""
+        with contextlib.suppress(OSError):  # it is none of TCP, or closed
+            if peek(self._connection, 1) is not None:
+                return False
+            info = self._connection.getsockopt(
+                socket.IPPROTO_TCP, socket.TCP_INFO, _LAST_DATA.stop
+            )
+            return int.from_bytes(info[_LAST_DATA], sys.byteorder) >= 1e3 * silence
+        return True
 
     def accept_tls(self, keys: Credentials, deadline: float) -> None:
         """Go on over TLS, which the other end begins."""

@@ -54,7 +54,7 @@ _TAKE_LIMIT = 30.0
 300 MB takes so long over 100 Mbit/s."""
 _PAUSE = 0.01
 _PATIENCE = 1.0
-"""Time for what was sent over a connection before its sender left it [s]."""
+"""Once its sender left a connection, this silence ends it: the sender was lost [s]."""
 _MOST_CONNECTIONS = 256
 """Connections that a container serves at a time; others are closed at once."""
 
@@ -285,9 +285,11 @@ def _handed_over(gateway: socket.socket) -> socket.socket:
 
 
 def _wait_until_taken(before: _ServedConnection) -> None:
-    """Wait for what came over the replaced connection, to keep the order."""
+    """Wait for what was sent over the replaced connection, to keep the order."""
     before.thread.join(_PATIENCE)
-    before.connection.end(socket.SHUT_RD)
     while before.thread.is_alive():
+        # sooner, it would lose what the sender's computer still has to send
+        if before.connection.is_drained(_PATIENCE):
+            before.connection.end(socket.SHUT_RD)
         before.thread.join(_PATIENCE)
         log.info("connector %s: older messages are being handled", before.connector)
