@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import pathlib
 import re
+import stat
 from collections.abc import Iterator, Mapping
 from typing import Protocol
 
@@ -77,13 +78,12 @@ def _read_text(
         problems.append(where.problem(named))
 
     try:
-        if path.is_dir():
+        found = path.stat()  # from Python 3.14 on, `exists` does not say what is wrong
+        if stat.S_ISDIR(found.st_mode):
             wrong("is a folder, not a robot file")
-        elif not path.exists():
-            wrong("does not exist")
-        elif not path.is_file():
+        elif not stat.S_ISREG(found.st_mode):
             wrong("is not an ordinary file")
-        elif path.stat().st_size > LARGEST:
+        elif found.st_size > LARGEST:
             wrong(f"is larger than {LARGEST} bytes, the limit for a robot file")
         else:
             return path.read_bytes().decode("utf-8-sig")
@@ -92,6 +92,8 @@ def _read_text(
         column = error.start - before.rfind(b"\n")
         place = Location(str(path), before.count(b"\n") + 1, column)
         problems.append(place.problem(f"is not UTF-8 text: {error.reason}"))
+    except (FileNotFoundError, NotADirectoryError):
+        wrong("does not exist")
     except OSError as error:
         wrong(f"cannot be read: {error.strerror}")
     return None
