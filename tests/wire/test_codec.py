@@ -193,7 +193,7 @@ def test_an_unknown_extension_is_refused(code: int, length: int) -> None:
 
 
 def test_a_body_too_deep_is_refused() -> None:
-    with pytest.raises(WireError, match="recursion"):
+    with pytest.raises(WireError, match=r"recursion|Stack overflow"):
         codec(list[Any]).decode(b"\x91" * 200_000, memoryview(b""))
 
 
