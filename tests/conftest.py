@@ -70,6 +70,7 @@ def _leaves_nothing(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         Path(state).chmod(0o777)
         patch.setenv("TMPDIR", name)
         patch.setenv("XDG_STATE_HOME", state)
+        patch.setenv("XDG_DATA_HOME", state)  # a person's keys are another robot's
         patch.setattr(tempfile, "tempdir", None)
         patch.delenv("XDG_RUNTIME_DIR", raising=False)  # else robots' sockets lie there
         yield

@@ -6,6 +6,7 @@
     python -m tests.simulation 200 --robots elects   # standbys follow the manager
     python -m tests.simulation 200 --robots varied   # another robot for each seed
     python -m tests.simulation 200 --robots wild   # all is tight, slow or fails
+    python -m tests.simulation 200 --robots restarted   # and computers lose their power
     python -m tests.simulation 200 --virtual 40s   # instead of two minutes each
 
 Two processes work at a time. The first failures are shrunk and printed with their

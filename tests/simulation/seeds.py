@@ -17,7 +17,7 @@ SECONDS = 120.0
 """Of faults in each run [virtual s]."""
 
 
-Kind = Literal["small", "elects", "varied", "wild", "watched"]
+Kind = Literal["small", "elects", "varied", "wild", "watched", "restarted"]
 """The robot of all seeds, the same with standbys, or another one for each seed."""
 
 
@@ -29,6 +29,10 @@ def scenario_of(seed: int, seconds: float, kind: Kind) -> Scenario:
         return wild_scenario(seed, seconds)
     if kind == "watched":
         return structs.replace(wild_scenario(seed, seconds), is_watched=True)
+    if kind == "restarted":
+        wild = wild_scenario(seed, seconds)
+        kinds = (*wild.kinds, *["restart computer"] * 8)
+        return structs.replace(wild, is_watched=seed % 2 == 0, kinds=kinds)
     return small_scenario(seconds, elects=kind == "elects")
 
 

@@ -15,9 +15,8 @@ from poise.model.robot import (
     Task,
 )
 from poise.session.placing.first_phase import first_phase
-from poise.simulation.faults import KINDS
 from tests.simulation.conftest import joined, small_scenario
-from tests.simulation.simulated_run import Scenario
+from tests.simulation.simulated_run import EARLIER_KINDS, Scenario
 
 COMPUTERS = "abc"
 _FUNCTIONS = ("seeing", "thinking", "acting", "talking")
@@ -56,7 +55,7 @@ def varied_scenario(seed: int, seconds: float) -> Scenario:
         placement=dict(placed.where),
         tasks=tasks,
         seconds=seconds,
-        kinds=tuple(kind for kind in KINDS if kind != "take over"),
+        kinds=tuple(kind for kind in EARLIER_KINDS if kind != "take over"),
         election=small.election,
     )
 

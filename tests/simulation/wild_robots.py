@@ -34,12 +34,11 @@ from poise.model.steps import Sequence as Steps
 from poise.runtime.component.ports import Timer
 from poise.session.placing.first_phase import first_phase
 from poise.simulation.component_models import ComponentModel, HandlerModel, TimerModel
-from poise.simulation.faults import KINDS
 from poise.simulation.workload import SimulatedWork
 from poise.wire.records.request_records import Election
 from tests.simulation.clients import FLAWS
 from tests.simulation.conftest import joined
-from tests.simulation.simulated_run import Scenario
+from tests.simulation.simulated_run import EARLIER_KINDS, Scenario
 
 _FUNCTIONS = ("seeing", "thinking", "acting", "talking")
 _TASKS = ("work", "beside", "later")
@@ -113,7 +112,7 @@ def _scenario(draw: random.Random, seed: int, seconds: float) -> Scenario | None
         tasks=tasks,
         seconds=seconds,
         workload=_workload(draw, robot),
-        kinds=tuple(kind for kind in KINDS if kind != "take over"),
+        kinds=tuple(kind for kind in EARLIER_KINDS if kind != "take over"),
         election=election if seed % 2 == 1 else None,
         is_wild=True,
     )

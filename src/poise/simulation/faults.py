@@ -37,6 +37,7 @@ SimulatedFaultKind = Literal[
     "full disk",
     "another manager",
     "take over",
+    "restart computer",
 ]
 KINDS: tuple[SimulatedFaultKind, ...] = SimulatedFaultKind.__args__  # type: ignore[attr-defined]
 LINK_KINDS: tuple[SimulatedFaultKind, ...] = ("cut link", "cut one way", "clog link")
@@ -45,6 +46,8 @@ _ALLOWED = 0.4
 """Each kind is allowed in this share of runs."""
 _MEAN_PAUSE = 4.0
 _LONGEST = 8.0
+_IN_MEMORY = 0.5
+"""Agents' folders are in memory in this share of computers that are restarted."""
 _LONGEST_STEP = 2e8
 """A wall clock steps by up to half of that [s]: three years."""
 
@@ -120,7 +123,13 @@ Mend = Callable[[], object]
 
 def _begin(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
     """Break something; return what makes it whole."""
-    by_verb = {"kill": _kill, "pause": _pause, "cut": _cut, "isolate": _cut}
+    by_verb = {
+        "kill": _kill,
+        "pause": _pause,
+        "cut": _cut,
+        "isolate": _cut,
+        "restart": _restart,
+    }
     begin = by_verb.get(fault.kind.partition(" ")[0])
     if begin is not None:
         return begin(robot, fault)
@@ -205,7 +214,7 @@ def _pause(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
 
 def _cut(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
     ways = [(fault.target, fault.other)]
-    if fault.kind == "isolate computer":
+    if not fault.other:
         ways = [(fault.target, other) for other in robot.others_than(fault.target)]
     if fault.kind != "cut one way":
         ways += [(there, here) for here, there in ways]
@@ -217,6 +226,22 @@ def _cut(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
             robot.network.heal(*way)
 
     return heal
+
+
+def _restart(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
+    """Take a computer's power: its memory is lost, and its disk with a low `pick`."""
+    heal, manager = _cut(robot, fault), robot.manager
+    for process in list(robot.computers[fault.target].processes.values()):
+        process.kill()
+    robot.disks[fault.target].restart(is_empty=fault.pick < _IN_MEMORY)
+
+    def start() -> None:
+        heal()
+        robot.start_agent(fault.target)
+        if manager is not None and manager.process.is_dead:
+            robot.keep_managed(fault.target)
+
+    return start
 
 
 def _weighted(
