@@ -8,6 +8,7 @@ namespace nb = nanobind;
 using namespace poise;
 
 NB_MODULE(_change_point, module) {
+  nb::set_leak_warnings(false);  // containers end without finalising the interpreter
   module.doc() = "Detects changes of a rate; native/change_point.h explains the method.";
   // Windows to learn the noise from, and the reference if none is given.
   module.attr("LEARN") = ChangePointDetector::learn;

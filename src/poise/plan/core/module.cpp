@@ -245,6 +245,7 @@ class Core {
 }  // namespace
 
 NB_MODULE(_core, module) {
+  nb::set_leak_warnings(false);  // a thread may search while the interpreter ends
   module.doc() = "The placement engine in C++; see poise.plan.planner.";
   nb::class_<Core>(module, "Core", "A problem compiled from `Arrays`, and its solvers.")
       .def("__init__",
