@@ -46,8 +46,6 @@ _ALLOWED = 0.4
 """Each kind is allowed in this share of runs."""
 _MEAN_PAUSE = 4.0
 _LONGEST = 8.0
-_IN_MEMORY = 0.5
-"""Agents' folders are in memory in this share of computers that are restarted."""
 _LONGEST_STEP = 2e8
 """A wall clock steps by up to half of that [s]: three years."""
 
@@ -229,11 +227,11 @@ def _cut(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
 
 
 def _restart(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
-    """Take a computer's power: its memory is lost, and its disk with a low `pick`."""
+    """Take a computer's power: all that it knew is lost."""
     heal, manager = _cut(robot, fault), robot.manager
     for process in list(robot.computers[fault.target].processes.values()):
         process.kill()
-    robot.disks[fault.target].restart(is_empty=fault.pick < _IN_MEMORY)
+    robot.disks[fault.target].restart()
 
     def start() -> None:
         heal()

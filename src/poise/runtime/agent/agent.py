@@ -284,6 +284,8 @@ class Agent:
         checkpoints = CheckpointFiles(
             self._containers, lambda copy: copies.put(encode(copy)), self._setup.account
         )
+        if self._left.wanted is None:
+            checkpoints.clear()
         return DiskThread(
             self._containers,
             self._folder,

@@ -102,6 +102,7 @@ class AgentFolder:
         self._path.unlink(missing_ok=True)
 
 
+_NOTHING = Deployment(generation=0, containers=())
 POLL_EVERY = 0.1
 """New checkpoints are looked for this often [s]."""
 _JOIN_LIMIT = 1.0
@@ -166,6 +167,14 @@ class CheckpointFiles:
         for path in set(self._folder.glob("*.checkpoint")) - kept:
             path.unlink(missing_ok=True)
 
+    def clear(self) -> None:
+        """Remove those of another start of the robot, which has the same epochs."""
+        try:
+            with rights_of(self._account):
+                self.remove_all_but(_NOTHING)
+        except OSError as error:
+            log.warning("old checkpoints in %s stay: %s", self._folder, error)
+
     def resend(self) -> None:
         """Send all again: there is another manager."""
         self._sent = {}
@@ -225,7 +234,6 @@ _MOST = 100
 _SLOW = 1.0
 """A disk that does not answer for longer is in trouble [s]."""
 _STOP_LIMIT = 2.0
-_NOTHING = Deployment(generation=0, containers=())
 
 
 class AgentNote:

@@ -361,11 +361,9 @@ class SimulatedDisk:
         self._is_sending = False
         self._send_soon()
 
-    def restart(self, *, is_empty: bool) -> None:
-        """Lose what counts only until the next boot, or all."""
-        self.left = AgentState()
-        if is_empty:
-            self._checkpoints = {}
+    def restart(self) -> None:
+        """Lose what counts only until the next boot: all."""
+        self.left, self._checkpoints = AgentState(), {}
 
     def keep(self, state: AgentState) -> None:
         """Keep what the next agent must know, if it changed."""

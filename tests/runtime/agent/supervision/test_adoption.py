@@ -25,7 +25,7 @@ from poise.runtime.supervision.adopted_containers import ADOPT_LIMIT, AdoptedCon
 from poise.testing import VirtualClock
 from poise.wire.address import agent_path, socket_path
 from poise.wire.records.deployment_records import Deployment
-from poise.wire.records.request_records import Claim, Refused
+from poise.wire.records.request_records import Claim, Refused, checkpoint_path
 from tests.processes import children_of
 from tests.runtime.agent.test_agent import Manager, manager_id, wait_gone
 
@@ -121,6 +121,24 @@ def test_the_first_status_has_what_an_earlier_agent_left(manager: Manager) -> No
     assert {each.name for each in first.containers} == {"quiet", "stubborn"}
     assert len(first.took_over or ()) == 2
     assert not manager.faults(first)
+
+
+def test_checkpoints_of_another_start_of_the_robot_are_removed(
+    manager: Manager,
+) -> None:
+    """Else what has the same epoch now would go on from them."""
+    manager.deploy("quiet")
+    (component,) = manager.wait_active("quiet").components
+    old = checkpoint_path(manager.folder, component.name, component.epoch)
+    old.touch()
+    restart_agent(manager)
+    manager.wait_adopted("quiet")
+    assert old.exists()
+    kill_agent(manager)
+    (manager.folder / "state").unlink()  # as after a boot
+    manager.process = manager.start_agent()
+    manager.wait_agent()
+    assert not old.exists()
 
 
 def test_what_ends_in_order_is_not_taken_up_again(manager: Manager) -> None:
