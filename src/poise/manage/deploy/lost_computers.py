@@ -214,7 +214,7 @@ class LostComputers:
     def _note_lost_state(self, name: str, computer: str) -> None:
         why = "it has no `checkpoint` in the robot file"
         if self._live.robot.component(name).checkpoint:
-            why = "no checkpoint of it was there yet"
+            why = "this manager has no copy of its checkpoint"
         what = (
             f"component '{name}' began again on '{computer}' without the state that it "
             f"had: its process had ended with the agent or the computer; {why}"
