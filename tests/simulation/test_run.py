@@ -272,6 +272,14 @@ def test_robots_on_which_all_is_tight_do_what_tasks_and_clients_want(
     assert run(seed, seconds, "wild").message == ""
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [32, 100])
+def test_computers_that_lose_their_power_join_the_robot_again(seed: int) -> None:
+    outcome = run(seed, 60.0, "restarted")
+    assert outcome.message == ""
+    assert "restart computer" in {fault.kind for fault in outcome.faults}
+
+
 @pytest.mark.exhaustive
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [5015, 5049, 5054, 5063, 5097])
