@@ -319,8 +319,8 @@ class _Run:
 
     def _inject(self, fault: SimulatedFault) -> None:
         """Let a fault begin; in a second `status` has to say what is lost."""
-        manager, agent = self.robot.manager, self.robot.agents.get(fault.target)
         self.robot.ledger.is_whole = False
+        manager, agent = self.robot.manager, self.robot.agents.get(fault.target)
         was_heard = self._is_heard(fault.target)
         inject(self.robot, fault)
         if fault.kind == "isolate computer" and fault.lasts > FAILED_OVER_WITHIN:

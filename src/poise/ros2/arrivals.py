@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 _MOST = 1000
-"""Stamps are kept of so many publishers: of those that were heard last."""
+"""The most publishers whose stamps are kept: those heard last."""
 
 
 class Arrivals:

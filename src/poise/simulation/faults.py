@@ -229,14 +229,16 @@ def _cut(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
 def _restart(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
     """Take a computer's power: all that it knew is lost."""
     heal, manager = _cut(robot, fault), robot.manager
-    for process in list(robot.computers[fault.target].processes.values()):
+    computer = robot.computers[fault.target]
+    was_managed_here = manager is not None and manager.process.computer is computer
+    for process in list(computer.processes.values()):
         process.kill()
     robot.disks[fault.target].restart()
 
     def start() -> None:
         heal()
         robot.start_agent(fault.target)
-        if manager is not None and manager.process.is_dead:
+        if was_managed_here:
             robot.keep_managed(fault.target)
 
     return start

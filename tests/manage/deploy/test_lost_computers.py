@@ -93,6 +93,24 @@ def test_a_state_that_ended_with_its_computer_is_told_of(
     ] == told
 
 
+def test_a_cut_ends_no_state(robot: Robot) -> None:
+    agents = FakeAgents("left", "right")
+    live = started(robot, agents)
+    lost = LostComputers(live)
+    agents.states["thinker"] = stateful(live)
+    agents.report(structs.replace(agents.statuses()["right"], took_over=()))
+    agents.report_component("right", stateful(live))
+    agents.gone.add("right")
+    lost.note()
+    assert lost.away() == {"right"}
+    agents.gone.clear()
+    for _ in range(3):
+        live.reconcile()
+        lost.note()
+    assert not lost.away()
+    assert live.lost_states == {}
+
+
 def lose_folder(live: LiveRobot, agents: FakeAgents) -> LostComputers:
     """Let the agent of ``right`` come back, with nothing in its folder."""
     lost = LostComputers(live)
@@ -120,6 +138,8 @@ def test_an_agent_that_has_lost_its_folder_gets_the_checkpoints_again(
     assert [(at, copy.component, copy.data) for at, copy in agents.kept] == [
         ("right", "thinker", b"7")
     ]
+    told = [entry.what for entry in live.journal.entries()]
+    assert any("'thinker' goes on from its state of 1." in what for what in told)
     assert live.lost_states == {}
 
 

@@ -248,7 +248,8 @@ class Agents(AgentReports):
         """Become the leader by a majority of votes; return the answers of agents.
 
         They are only asked first: nothing changes while a majority obeys another one.
-        Raises RunError: not enough agents accept this manager.
+        Raises RunError: not enough agents accept this manager; AlreadyManaged: most of
+        them obey another one.
         """
         self._claims.begin_term(self.statuses().values())
         votes = self._claims.votes
@@ -261,12 +262,14 @@ class Agents(AgentReports):
             answers = self.request_all(claims, _VOTE_LIMIT)
             accepted = {n: a for n, a in answers.items() if isinstance(a, Claimed)}
             if not self._claims.has_majority(accepted):
-                refused = [a for a in answers.values() if isinstance(a, Refused)]
-                said = sorted({answer.reason for answer in refused})
+                refused = {n: a for n, a in answers.items() if isinstance(a, Refused)}
+                said = sorted({answer.reason for answer in refused.values()})
                 away = sorted(votes.keys() - computers)
                 said += [f"not reached: {', '.join(away)}"] if away else []
                 text = f"no majority of votes: {'; '.join(said)}"
-                raise _error_of(text, *refused)
+                led = [n for n, answer in refused.items() if answer.obeys_another]
+                is_led = self._claims.has_majority(led)
+                raise AlreadyManaged(text) if is_led else RunError(text)
             return accepted
 
         agreed = self._poll(
@@ -334,7 +337,10 @@ class Agents(AgentReports):
                 self._claims.accept(computer, answers[computer])
                 return answers[computer]
             if self._clock.now() >= until:
-                raise _error_of(refusals[computer], answers.get(computer))
+                answer = answers.get(computer)
+                is_led = isinstance(answer, Refused) and answer.obeys_another
+                error = AlreadyManaged if is_led else RunError
+                raise error(refusals[computer])
             self._clock.sleep(LOOK_EVERY)
 
     def begin_claim(self, computer: str) -> PendingAnswer:
@@ -428,12 +434,6 @@ class Agents(AgentReports):
 
     def _on_ended_agent(self, computer: str) -> None:
         self.heartbeats.note_ended(computer)
-
-
-def _error_of(text: str, *answers: Answer | None) -> RunError:
-    """Return an error for agents that did not accept a claim."""
-    are_taken = any(isinstance(a, Refused) and a.obeys_another for a in answers)
-    return AlreadyManaged(text) if are_taken else RunError(text)
 
 
 def _datagrams(

@@ -179,6 +179,19 @@ class DesiredState:
             what=what, computer=computer, component=component, since=wall_time()
         )
 
+    def note_checkpoint(self, computer: str, copy: CheckpointCopy, why: str) -> None:
+        """Journal from which state a component goes on, or why it has none."""
+        name = copy.component
+        if why:
+            what = (
+                f"component '{name}' starts on '{computer}' without the state that it "
+                f"had: its agent did not take the checkpoint ({why})"
+            )
+            self.note_lost_state(name, computer, what)
+        else:
+            what = f"component '{name}' goes on from its state of {copy.age:.1f} s ago"
+            self.journal.note("done", what)
+
     def leave(self) -> None:
         """Leave the robot as it is: a stop does nothing from now on."""
         self.is_left = True
@@ -300,7 +313,7 @@ class DesiredState:
     def _lacking(self, computer: str, deployment: Deployment) -> list[CheckpointCopy]:
         """Return the checkpoints of what is placed, if an agent does not know of it.
 
-        So its folder is empty, as after a start of a computer that keeps it in memory.
+        Such an agent, as one after a boot, has removed those that were in its folder.
         """
         known = {(c.name, c.epoch) for c in deployment.components}
         copies = [
@@ -313,13 +326,8 @@ class DesiredState:
     def _join_found(self, joining: Mapping[str, JoiningComputer]) -> None:
         """Adopt what is at work on computers that were claimed for the first time."""
         for computer, each in joining.items():
-            for component, why in each.unkept().items():
-                self.note_lost_state(
-                    component,
-                    computer,
-                    f"component '{component}' starts on '{computer}' without the state "
-                    f"that it had: its agent did not take the checkpoint ({why})",
-                )
+            for copy, why in each.checkpoints():
+                self.note_checkpoint(computer, copy, why)
         deployments = {name: each.deployment for name, each in joining.items()}
         fenced = {name for name, each in joining.items() if each.is_cut_off}
         committed = frozenset[tuple[str, int]]().union(

@@ -35,7 +35,9 @@ class LostComputers:
             self._lost_at[computer] = wall_time()
             self._lost_moments[computer] = live.clock.now()
         self._was_cut_off: set[str] = set()
-        self._were_there: dict[tuple[str, int], str] = {}
+        self._lost_with: dict[str, list[tuple[str, int]]] = {}
+        """Lost computer -> the incarnations that were placed there."""
+        self._begin_again: dict[tuple[str, int], str] = {}
         """What was placed on a computer whose agent has been restarted since."""
         self._refused: dict[str, Deviation] = {}
         self._starts = _starts(live)
@@ -66,7 +68,7 @@ class LostComputers:
             if status is not None and live.reconciler.is_current(computer, status):
                 self._note_back(computer, status)
         self._note_refusals()
-        if self._were_there:
+        if self._begin_again:
             self._note_lost_states()
 
     def away(self) -> frozenset[str]:
@@ -165,11 +167,9 @@ class LostComputers:
         if self._is_replaced(computer):
             away = f"the agent of '{computer}' is being replaced by another one"
         live.journal.note("wrong", away)
-        self._were_there |= {
-            each.key: computer
-            for each in live.placed.values()
-            if each.computer == computer
-        }
+        self._lost_with[computer] = [
+            each.key for each in live.placed.values() if each.computer == computer
+        ]
 
     def _note_back(self, computer: str, status: AgentStatus) -> None:
         live = self._live
@@ -178,10 +178,12 @@ class LostComputers:
         was_cut_off = computer in self._was_cut_off
         self._was_cut_off.discard(computer)
         before, self._starts[computer] = self._starts.get(computer), status.start
+        lost = self._lost_with.pop(computer, ())
         what = f"computer '{computer}' is reached again"
         if before is None:
             what = f"computer '{computer}' is reached; its components keep running"
         elif before != status.start:
+            self._begin_again |= dict.fromkeys(lost, computer)
             what = f"the agent of '{computer}' was restarted"
             if status.took_over is not None:
                 num = len(status.took_over)
@@ -198,12 +200,12 @@ class LostComputers:
         """
         live = self._live
         placed = {each.key: each for each in live.placed.values()}
-        for key, computer in list(self._were_there.items()):
+        for key, computer in list(self._begin_again.items()):
             component = live.reported(placed[key]) if key in placed else None
             if key not in placed:
-                del self._were_there[key]
+                del self._begin_again[key]
             elif component is not None and computer not in self._lost_at:
-                del self._were_there[key]
+                del self._begin_again[key]
                 took_over = live.agents.statuses()[computer].took_over
                 container = live.layout.container_of(placed[key])
                 went_on = took_over is None or container in took_over

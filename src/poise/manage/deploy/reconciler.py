@@ -180,7 +180,7 @@ def halt(number: int, container: str) -> MigrationSteps:
 class JoiningComputer:
     """Asks the containers of targets whether these count; waits for nothing.
 
-    Its agent gets the checkpoints that it has lost, before anything is started there.
+    Its agent gets the checkpoints that it lacks, before anything is started there.
 
     `deployment`: what its agent works towards.
     `is_cut_off`: whether its lease had ended when it was claimed.
@@ -232,7 +232,8 @@ class JoiningComputer:
         While the computer is out of reach nothing is known.
         """
         now = self._clock.now()
-        if self._targets and not self._agents.obey(self._computer):
+        asks = bool(self._targets or self._sent)
+        if asks and not self._agents.obey(self._computer):
             self._until = now + WITNESS_LIMIT
             return False
         for container, reply in self._asked.items():
@@ -247,13 +248,10 @@ class JoiningComputer:
         is_sent = all(reply.is_done for _, reply in self._sent)
         return not self._targets and (is_sent or now >= self._sent_until)
 
-    def unkept(self) -> dict[str, str]:
-        """Return which states its agent did not keep, and why; once all is known."""
-        answers = [
-            (copy.component, why_not_kept(copy, reply.answer))
-            for copy, reply in self._sent
-        ]
-        return {component: why for component, why in answers if why}
+    def checkpoints(self) -> Iterator[tuple[CheckpointCopy, str]]:
+        """Yield what its agent got, and why it did not keep that; empty: it did."""
+        for copy, reply in self._sent:
+            yield copy, why_not_kept(copy, reply.answer)
 
     def _ask(self, now: float) -> None:
         for container in self._targets:

@@ -236,14 +236,9 @@ def with_checkpoint(
     if kept is None:
         return structs.replace(new, fresh=True)
     mine = structs.replace(kept, epoch=new.epoch)
-    name = new.component
-    if refusal := live.agents.keep_checkpoint(new.computer, mine):
-        what = f"the state of '{name}' could not be sent to '{new.computer}': {refusal}"
-        live.journal.note("failed", f"{what}; it starts without")
-        return structs.replace(new, fresh=True)
-    what = f"component '{name}' goes on from its state of {kept.age:.1f} s ago"
-    live.journal.note("done", what)
-    return structs.replace(new, fresh=False)
+    refusal = live.agents.keep_checkpoint(new.computer, mine)
+    live.note_checkpoint(new.computer, mine, refusal)
+    return structs.replace(new, fresh=bool(refusal))
 
 
 def _restart(

@@ -176,8 +176,8 @@ class Agent:
         if not goes_first():
             self._say(
                 "it cannot raise the priority of its heartbeats: beside busy programs "
-                "this computer may be considered lost (systemd: LimitNICE=-10; for a "
-                "service of a user in user@.service, too)"
+                "this computer may be considered lost (systemd: LimitNICE=-10; a "
+                "user's service also needs it in user@.service)"
             )
         closing.callback(disk.stop)
         with contextlib.ExitStack() as working:
