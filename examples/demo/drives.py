@@ -1,6 +1,6 @@
 """T-Rot drives through a home: placed by hand and by Poise, and while a part moves.
 
-It imports internal modules: it moves a component amid a run.
+It imports internal modules: it sets how quick the emulated computers are.
 """
 
 from __future__ import annotations
@@ -16,11 +16,18 @@ from msgspec.structs import replace
 from rich.console import Console
 from rich.markup import escape
 
-from poise import Placement, Robot, RunError, RunReport, load, place, run
-from poise.manage.agent_connections.statuses import components_of
-from poise.manage.deploy.live_robot import LiveRobot
+from poise import (
+    Placement,
+    Robot,
+    RolledBack,
+    RunError,
+    Running,
+    RunReport,
+    load,
+    place,
+    run,
+)
 from poise.manage.migration.migration_report import MigrationReport
-from poise.manage.migration.move import plan_move
 from poise.session import Check, nothing
 from poise.session.profiling.stored_profiles import as_when_profiled
 from poise.session.render.run_progress import progress
@@ -221,14 +228,14 @@ class _Mover:
         self._ended = 0.0
         self._counts: list[tuple[int, int]] = [(0, 0)]
 
-    def look(self, live: LiveRobot, now: float) -> None:
+    def look(self, running: Running, now: float) -> None:
         """Move when it is time; `now` is since the start of the drive [s]."""
         if self._report is None and now > MOVE_AT:
-            self._counts.append(_deadlines(live))
-            self._report = plan_move(live, _MOVED, self._target).run()
+            self._counts.append(_deadlines(running))
+            self._report = _moved(running, self._target)
             self._ended = now + self._report.prepared + self._report.downtime
         elif len(self._counts) == _COUNTS_BEFORE_END and now > self._ended + 1:
-            self._counts.append(_deadlines(live))
+            self._counts.append(_deadlines(running))
 
     def scene(self, report: RunReport) -> Scene:
         """Return what came of it."""
@@ -248,9 +255,19 @@ class _Mover:
         )
 
 
-def _deadlines(live: LiveRobot) -> tuple[int, int]:
+def _moved(running: Running, target: str) -> MigrationReport:
+    """Move the localiser, and return how it went."""
+    try:
+        return running.move(_MOVED, target, force=True)
+    except RolledBack as error:
+        if not isinstance(error.outcome, MigrationReport):
+            raise
+        return error.outcome
+
+
+def _deadlines(running: Running) -> tuple[int, int]:
     """Return how many deadlines the navigator missed so far, and how many it had."""
-    for component in components_of(live.agents.statuses()):
+    for _, component in running.status().located():
         if component.name == NAVIGATOR:
             (cycle,) = component.timers
             return cycle.missed, cycle.releases
@@ -295,9 +312,9 @@ def _serve(
     lasts = seconds or DRIVE
     with _shown(console, lasts) as show:
 
-        def look(live: LiveRobot, now: float) -> None:
-            show(live, now)
-            meanwhile(live, now)
+        def look(running: Running, now: float) -> None:
+            show(running, now)
+            meanwhile(running, now)
 
         report = run(
             robot,

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import contextlib
 import re
+import threading
 import time
 from collections import Counter
 from collections.abc import Callable
 from os import PathLike
+from typing import Self
 
 from msgspec import structs
 
+from poise import threads
 from poise.clock import wall_time
 from poise.emulate import set_for
 from poise.errors import PoiseError, RunError, UsageError
 from poise.manage.control_socket.control_server import ControlServer
 from poise.manage.deploy.deactivation import drain, stop
-from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.journal import JournalEntry
 from poise.manage.manager import Manager
 from poise.manage.observe.chains import chain_reports
@@ -33,12 +35,15 @@ from poise.session.record_run import keeping
 from poise.session.robot_file import task_of
 from poise.session.run_records import History
 from poise.session.run_report import MeasuredRun, RunReport, located_faults, reported
+from poise.session.running_robots.running import Running
 from poise.units import counted
 from poise.wire.heartbeats import UNCUT_SURELY_ENDED
 
-Meanwhile = Callable[[LiveRobot, float], object]
-"""Called a few times a second with the run and its time so far [s]; may move
-components, and may raise to end the run."""
+Meanwhile = Callable[[Running, float], object]
+"""Called a few times a second, on a thread of its own, with the robot that runs and its
+time so far [s]; may move components, and may raise to end the run."""
+_MEANWHILE_EVERY = 0.25
+_MEANWHILE_LIMIT = 60.0
 
 
 def run(  # noqa: PLR0913 - each is a choice of the user
@@ -51,7 +56,7 @@ def run(  # noqa: PLR0913 - each is a choice of the user
     record: str | PathLike[str] | None = None,
     adapt: bool = False,
     say: Say = log.info,
-    meanwhile: Meanwhile = lambda *_: None,
+    meanwhile: Meanwhile = nothing,
     check: Check = nothing,
 ) -> RunReport:
     """Run a task until it is over, or some time or the simulated world is, and report.
@@ -80,7 +85,10 @@ def run(  # noqa: PLR0913 - each is a choice of the user
     say
         Takes a sentence at every step.
     meanwhile
-        Called a few times a second with the run and its time so far [s].
+        Called a few times a second while the task runs, on a thread of its own, with
+        the robot and the time so far [s]: it may ask for the status, move components,
+        start tasks. An exception ends the run. Where other computers of a robot with
+        this name run here, it is not called.
     check
         Called several times a second; may raise `KeyboardInterrupt`.
 
@@ -89,8 +97,8 @@ def run(  # noqa: PLR0913 - each is a choice of the user
     UsageError
         The robot runs already, or an argument is wrong.
     RobotError, RunError
-        It cannot start, a component failed or a computer was lost; everything is down
-        again.
+        It cannot start, a component failed, a computer was lost, or `meanwhile` did not
+        return in the minute after the run; everything is down again.
     """
     chosen, decided = task_of(robot, task), list[str]()
     check_duration("a run", seconds)
@@ -105,6 +113,8 @@ def run(  # noqa: PLR0913 - each is a choice of the user
             journal_of(robot, first, journal, warnings.hear, decided)
         )
         server = _server(robot, stack, say)
+        beside = _Beside(meanwhile if server is not None else nothing, robot.name)
+        stack.enter_context(beside)  # it ends once its last request is answered
         recorded = keeping(robot, placed.where, record, say)
         runs, recorder = stack.enter_context(recorded)
         answering = stack.enter_context(contextlib.ExitStack())
@@ -118,7 +128,7 @@ def run(  # noqa: PLR0913 - each is a choice of the user
             server.start(manager.submit)
             shows = "; `poise top` and `poise dashboard` show it"
         say(f"running task '{chosen}' for up to {seconds:g} s{shows}")
-        seen = _measure(up, seconds, manager, check, meanwhile)
+        seen = _measure(up, seconds, manager, check, beside)
         drain(up.live)
         warnings.end()
         entries = tuple(book.entries())
@@ -177,8 +187,54 @@ def _server(
         return None
 
 
+class _Beside:
+    """Calls a user's function while a task runs, on a thread of its own."""
+
+    def __init__(self, call: Meanwhile, robot: str) -> None:
+        self._call = call
+        self._running = Running(robot)
+        self._error: Exception | None = None
+        self._is_over = threading.Event()
+        self._thread = threads.daemon(self._main, "meanwhile")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._is_over.set()
+        if not self._thread.ident:
+            return
+        self._thread.join(_MEANWHILE_LIMIT)
+        if self._thread.is_alive():
+            raise RunError(
+                f"`meanwhile` did not return within {_MEANWHILE_LIMIT:g} s after the "
+                "run: it is called again and again, and should not wait for long"
+            )
+
+    def begin(self) -> None:
+        """Begin: the task runs now."""
+        self._thread.start()
+
+    def end(self) -> None:
+        """Begin no further call."""
+        self._is_over.set()
+
+    def check(self) -> None:
+        """Raise what was raised."""
+        if self._error is not None:
+            raise self._error
+
+    def _main(self) -> None:
+        began = time.monotonic()
+        try:
+            while not self._is_over.wait(_MEANWHILE_EVERY):
+                self._call(self._running, time.monotonic() - began)
+        except Exception as error:  # noqa: BLE001, `check` raises it
+            self._error = error
+
+
 def _measure(
-    up: Started, seconds: float, manager: Manager, check: Check, meanwhile: Meanwhile
+    up: Started, seconds: float, manager: Manager, check: Check, beside: _Beside
 ) -> MeasuredRun:
     """Let it run until its end; a computer that is lost ends it by an error."""
     live, looks = up.live, up.live.check
@@ -191,6 +247,7 @@ def _measure(
 
     def look_around() -> None:
         check()
+        beside.check()
         looks()
         up.computers.raise_if_ended()
         if lost := manager.lost():
@@ -202,9 +259,9 @@ def _measure(
         now, statuses = time.monotonic(), live.agents.statuses()
         history.record(statuses, wall_time(), now)
         manager.work(0.0)
-        meanwhile(live, now - began)
 
     live.check = look_around
+    beside.begin()
     try:
         up.watch(seconds, look, manager.tasks.is_over)
         if manager.away():  # an agent is started again: it has counts, too
@@ -214,6 +271,7 @@ def _measure(
     except RunError:
         if not manager.is_stopping:
             raise
+    beside.end()
     stopped = "`poise stop` ended it" if manager.is_stopping else ""
     live.check = check
     end = live.agents.statuses()

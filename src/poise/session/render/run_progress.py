@@ -10,11 +10,11 @@ from math import inf
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
-from poise.manage.agent_connections.statuses import components_of
-from poise.manage.deploy.live_robot import LiveRobot
+from poise.errors import PoiseError
 from poise.session import nothing
 from poise.session.render.simulation_tables import span
 from poise.session.run import Meanwhile
+from poise.session.running_robots.running import Running
 from poise.session.simulate import Watch
 
 _LINE_EVERY = 5.0
@@ -29,11 +29,11 @@ def progress(
     if not live or not console.is_terminal:
         due = _LINE_EVERY
 
-        def tell(live: LiveRobot, now: float) -> None:
+        def tell(running: Running, now: float) -> None:
             nonlocal due
             if now >= due:
                 due = now + _LINE_EVERY
-                console.print(f"  {_sentence(live, now, seconds)}")
+                console.print(f"  {_sentence(running, now, seconds)}")
 
         yield tell
         return
@@ -82,13 +82,17 @@ def _bar(
         )
 
 
-def _sentence(live: LiveRobot, now: float, seconds: float) -> str:
+def _sentence(running: Running, now: float, seconds: float) -> str:
+    said = f"{now:.0f} s, {max(0.0, seconds - now):.0f} s left"
+    try:
+        located = running.status().located()
+    except PoiseError:  # it is about to end, or its manager is busy
+        return said
     timers = [
         timer
-        for component in components_of(live.agents.statuses())
+        for _, component in located
         for timer in component.timers
         if timer.deadline is not None
     ]
     missed, releases = sum(t.missed for t in timers), sum(t.releases for t in timers)
-    left = max(0.0, seconds - now)
-    return f"{now:.0f} s, {left:.0f} s left: {missed} of {releases} deadlines missed"
+    return f"{said}: {missed} of {releases} deadlines missed"
