@@ -93,6 +93,53 @@ def test_a_component_whose_work_always_fails_is_said_and_not_recorded(
     assert set(found.profile.components) == {"blind", "clock"}
 
 
+ASKING = """\
+robot: asking
+computers: {main: {cpu: 1, memory: 1 GiB}}
+architectures:
+  asking:
+    function: asking
+    components:
+      asker: {implementation: "asking:Asker"}
+      clock: {implementation: "asking:Clock"}
+    connectors:
+      - {between: [asker.hours, clock.now]}
+"""
+ASKING_CODE = """
+import time
+
+from poise import Component, Provided, Required, every
+
+class Now:
+    def hour(self) -> int: raise NotImplementedError
+
+class Clock(Component):
+    now: Provided[Now]
+
+    def hour(self) -> int: return 12
+
+class Asker(Component):
+    hours: Required[Now]
+
+    @every(0.3)
+    def look(self) -> None:
+        time.sleep(0.29)  # in its end, too, with high probability
+        self.hours.hour()
+"""
+
+
+@pytest.mark.exhaustive
+@pytest.mark.slow
+def test_no_caller_fails_because_its_callee_ends_before_it(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "robot.yaml").write_text(ASKING)
+    (tmp_path / "asking.py").write_text(ASKING_CODE)
+    robot = load_bare(tmp_path / "robot.yaml")
+    profile(robot, seconds=1.0, warm_up=0.2, repeat=1)
+    assert "ERROR" not in capfd.readouterr().err
+
+
 @pytest.mark.slow
 def test_an_unknown_architecture_is_named(tmp_path: Path) -> None:
     (tmp_path / "robot.yaml").write_text(ROBOT)

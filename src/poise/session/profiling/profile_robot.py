@@ -17,7 +17,7 @@ from poise.estimate import profiles as profile_file
 from poise.estimate.code_version import version_of
 from poise.estimate.profiles import WINDOW, Profile
 from poise.manage.agent_connections.statuses import components_of
-from poise.manage.deploy.live_robot import ACTIVE_LIMIT
+from poise.manage.deploy.deactivation import drain
 from poise.manage.journal import Journal
 from poise.manage.observe.sample_recording import Recording
 from poise.model.robot import Robot
@@ -373,7 +373,7 @@ def measure_alone(
             samples = recording.drain()
             invalid = up.computers.end(rig.computer)
             working = up.live.agents.statuses()
-            up.live.reach("inactive", ACTIVE_LIMIT)
+            drain(up.live)  # a caller whose callee ends before it would fail
             return Observed(
                 measured=measure(samples),
                 statuses=up.live.agents.statuses(),
