@@ -69,6 +69,8 @@ from poise import Component, Message, Published, every
 
 class Quiet(Component): pass
 
+class Calm(Component): pass
+
 class Speaking(Component):
     said: Published[Message]
 
@@ -726,12 +728,12 @@ def test_lives_on_without_a_free_descriptor(doomed: Manager, who: str) -> None:
     agent = doomed.process.pid
     (zygote,) = children_of(agent)
     limit_descriptors(*((agent, 3) if who == "agent" else (zygote, 1)))
-    doomed.deploy("quiet", "busy", "stubborn")
+    doomed.deploy("quiet", "busy", "calm")
     doomed.wait_for(lambda status: len(doomed.faults(status)) >= 3)
     assert {"cannot be started" in f.message for f in doomed.faults()} == {True}
     for pid in (agent, zygote):
         limit_descriptors(pid, None)
-    for name in ("quiet", "busy", "stubborn"):
+    for name in ("quiet", "busy", "calm"):
         doomed.wait_active(name)
 
 
@@ -837,8 +839,8 @@ def test_ends_in_order_when_asked(doomed: Manager, sent: signal.Signals) -> None
 def test_without_its_zygote_what_runs_goes_on_and_the_status_says_so(
     doomed: Manager,
 ) -> None:
-    doomed.deploy("quiet", "stubborn")
-    pids = [doomed.wait_active(name).pid for name in ("quiet", "stubborn")]
+    doomed.deploy("quiet", "calm")
+    pids = [doomed.wait_active(name).pid for name in ("quiet", "calm")]
     (zygote,) = children_of(doomed.process.pid)
     os.kill(zygote, signal.SIGKILL)
     status = doomed.wait_for(lambda status: "zygote is gone" in status.trouble)
@@ -851,7 +853,7 @@ def test_without_its_zygote_what_runs_goes_on_and_the_status_says_so(
     doomed.process.stderr.close()  # the container has it, too: it does not end
     doomed.process = doomed.start_agent()
     assert doomed.wait_adopted("quiet").pid == pids[0]
-    doomed.wait_active("stubborn", but_not=pids[1])
+    doomed.wait_active("calm", but_not=pids[1])
 
 
 @pytest.mark.parametrize("data", [b"8 bytes.", b"", b"x" * 4000])
@@ -871,8 +873,8 @@ def test_what_is_no_container_at_its_socket_is_shown_and_stops_nothing(
         assert "not a container of this version" in status.errors[0].text
     os.close(out)
     os.close(into)
-    doomed.deploy("quiet", "stubborn")
-    doomed.wait_active("stubborn")
+    doomed.deploy("quiet", "calm")
+    doomed.wait_active("calm")
     assert doomed.wait_active("quiet").pid == pid
     wait_until(lambda: pipe not in _open_files(doomed.process.pid))
 
@@ -900,8 +902,8 @@ def test_an_error_of_its_loop_leaves_containers_and_what_should_run(
 
 
 def test_no_container_holds_anothers_end(manager: Manager) -> None:
-    manager.deploy("quiet", "stubborn")
-    pids = [manager.wait_active(name).pid for name in ("quiet", "stubborn")]
+    manager.deploy("quiet", "calm")
+    pids = [manager.wait_active(name).pid for name in ("quiet", "calm")]
     held = [{str(fd.readlink()) for fd in _descriptors(pid)} for pid in pids]
     assert {
         connection

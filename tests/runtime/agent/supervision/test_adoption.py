@@ -56,8 +56,8 @@ def restart_agent(manager: Manager) -> None:
 def test_the_next_agent_adopts_what_a_killed_one_left(
     manager: Manager, *, with_zygote: bool
 ) -> None:
-    manager.deploy("quiet", "stubborn")
-    pids = {name: manager.wait_active(name).pid for name in ("quiet", "stubborn")}
+    manager.deploy("quiet", "calm")
+    pids = {name: manager.wait_active(name).pid for name in ("quiet", "calm")}
     if not with_zygote:
         (zygote,) = children_of(manager.process.pid)
         os.kill(manager.process.pid, signal.SIGSTOP)  # else it ends by itself
@@ -89,13 +89,13 @@ def test_an_adopted_container_is_restarted_when_it_dies_and_stopped_when_asked(
 def test_what_died_with_the_agent_starts_anew_without_a_manager(
     manager: Manager,
 ) -> None:
-    manager.deploy("quiet", "stubborn")
-    pids = {name: manager.wait_active(name).pid for name in ("quiet", "stubborn")}
+    manager.deploy("quiet", "calm")
+    pids = {name: manager.wait_active(name).pid for name in ("quiet", "calm")}
     kill_agent(manager)
     os.kill(pids["quiet"], signal.SIGKILL)
     wait_gone(pids["quiet"])
     manager.process = manager.start_agent()
-    assert manager.wait_adopted("stubborn").pid == pids["stubborn"]
+    assert manager.wait_adopted("calm").pid == pids["calm"]
     manager.wait_active("quiet", but_not=pids["quiet"])
 
 
@@ -111,14 +111,14 @@ def test_one_that_does_not_ask_is_killed_before_another_is_started(
 
 
 def test_the_first_status_has_what_an_earlier_agent_left(manager: Manager) -> None:
-    manager.deploy("quiet", "stubborn")
+    manager.deploy("quiet", "calm")
     late = manager.wait_active("quiet").pid
-    manager.wait_active("stubborn")
+    manager.wait_active("calm")
     os.kill(late, signal.SIGSTOP)
     restart_agent(manager)
     threading.Timer(1.5, os.kill, (late, signal.SIGCONT)).start()
     first = manager.wait_agent()
-    assert {each.name for each in first.containers} == {"quiet", "stubborn"}
+    assert {each.name for each in first.containers} == {"quiet", "calm"}
     assert len(first.took_over or ()) == 2
     assert not manager.faults(first)
 
