@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import resource
 import shutil
 from collections.abc import Collection
@@ -15,6 +16,7 @@ from poise.emulate.cgroups import Groups, Probe
 from poise.emulate.registry import EmulationLayout, lay_out
 from poise.errors import RunError
 from poise.model.robot import Robot
+from poise.wire import robots_here
 
 pytestmark = pytest.mark.usefixtures("own_registry")
 
@@ -89,7 +91,20 @@ def test_a_full_disk_is_an_error_that_leaves_nothing(
             registry.register(lambda _: lay_out(two_computers, tmp_path, host, 0))
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-    assert not list(own_registry.iterdir())
+    assert not list(own_registry.glob("poise-*"))
+
+
+def test_a_manager_and_emulations_may_have_one_folder(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """As those of a user who may not write to /run."""
+    monkeypatch.delenv(registry.FOLDER)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    assert robots_here.make_folder() == registry.registry()
+    monkeypatch.setattr(registry, "_LOCK_LIMIT", 0.0)
+    with registry.locked():
+        pass
 
 
 def test_two_processes_may_remove_the_same_emulation(

@@ -31,6 +31,7 @@ from poise.model.robot import Robot
 
 FOLDER = "POISE_EMULATIONS"
 """The environment variable that names the registry's folder."""
+_LOCK = "emulations.lock"
 _LOCK_LIMIT = 30.0
 _POLL_EVERY = 0.01
 
@@ -82,14 +83,20 @@ def kept_sets() -> list[EmulationLayout]:
 @contextmanager
 def locked() -> Iterator[None]:
     """Let no other process of this user change kept sets meanwhile."""
-    handle = os.open(registry(), os.O_RDONLY)
+    # A manager locks the folder itself, which may be its folder, too.
+    file = registry() / _LOCK
+    try:
+        handle = os.open(file, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
+    except OSError as error:
+        message = f"emulated computers cannot be changed: {error}"
+        raise RunError(message) from error
     try:
         deadline = time.monotonic() + _LOCK_LIMIT
         while not _is_locked(handle):
             if time.monotonic() > deadline:
                 raise RunError(
                     "another command has been changing emulated computers for "
-                    f"{_LOCK_LIMIT:g} s: `lsof {registry()}` names its process"
+                    f"{_LOCK_LIMIT:g} s: `lsof {file}` names its process"
                 )
             time.sleep(_POLL_EVERY)
         yield
