@@ -209,7 +209,7 @@ class FakeAgents:
     def successor(self) -> ManagerId | None:
         return self.later
 
-    def take_refused(self) -> list[str]:
+    def pop_refused(self) -> list[str]:
         refused, self.refused = self.refused, []
         return refused
 

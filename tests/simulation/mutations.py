@@ -280,7 +280,7 @@ DEFECTS: Defects = {
     ),
     "for-ever-silent": (
         "an agent that obeys another manager counts as out of reach",
-        _put(Agents, "take_status", AgentReports.take_status),
+        _put(Agents, "store_status", AgentReports.store_status),
     ),
     "lost-commit": (
         "a manager that was replaced says how its move ended",

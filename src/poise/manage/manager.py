@@ -238,7 +238,7 @@ class Manager:
                 self._begin(command, future)
         self._parts.run("migrate", self._make_configured)
         self._parts.run("answer what is stored", self._answer_stored)
-        self._parts.run("take samples", self._take_samples)
+        self._parts.run("take samples", self._estimate_from_samples)
         self._observe()
         if not self.is_stopping:
             self._parts.run("look after tasks", self._look_after_tasks, changes=True)
@@ -285,7 +285,7 @@ class Manager:
             what = "the simulated world has ended: estimates are frozen"
             self._live.journal.note("seen", what)
 
-    def _take_samples(self) -> None:
+    def _estimate_from_samples(self) -> None:
         """Estimate from samples, keep them, and say which demands have shifted."""
         prepared = self._live.prefetched.items()
         self._estimates.idle = {(name, idle.epoch) for name, idle in prepared}

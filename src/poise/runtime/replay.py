@@ -102,8 +102,8 @@ class _Filling:
             bool: lambda: self._rng.random() < _HALF,
             int: lambda: self._rng.randrange(_SMALL),
             float: self._rng.random,
-            str: lambda: "a" * self._take(),
-            bytes: lambda: self._rng.randbytes(self._take()),
+            str: lambda: "a" * self._claim_room(),
+            bytes: lambda: self._rng.randbytes(self._claim_room()),
             dict: dict,
             type(None): lambda: None,
         }
@@ -117,7 +117,7 @@ class _Filling:
         if not arguments or arguments[0] not in (float, int):
             return kind()
         each = 9 if arguments[0] is float else 1  # as msgpack writes them [bytes]
-        count = self._take() // each
+        count = self._claim_room() // each
         return kind(self.value(arguments[0], where) for _ in range(count))
 
     def _array(self, arguments: tuple[Any, ...], where: str) -> Any:  # noqa: ANN401, an array
@@ -127,14 +127,16 @@ class _Filling:
         if not (isinstance(scalar, type) and issubclass(scalar, np.generic)):
             raise UsageError(_cannot(where, "an array of any type"))
         dtype = np.dtype(scalar)
-        data = self._rng.randbytes(self._take() // dtype.itemsize * dtype.itemsize)
+        data = self._rng.randbytes(
+            self._claim_room() // dtype.itemsize * dtype.itemsize
+        )
         if dtype.kind == "f":
             # any bits would be a number, but few of them a finite one
             whole = np.frombuffer(data, np.uint8)[:: dtype.itemsize]
             return (whole / np.uint8(255)).astype(dtype)
         return np.frombuffer(data, dtype)
 
-    def _take(self) -> int:
+    def _claim_room(self) -> int:
         room, self._room = self._room, 0
         return room
 

@@ -122,9 +122,9 @@ class LastSeen:
         """Record what an agent says; any thread may."""
         with self._lock:
             for container in status.containers:
-                self._take(status.computer, container)
+                self._record_container(status.computer, container)
 
-    def _take(self, computer: str, container: ContainerStatus) -> None:
+    def _record_container(self, computer: str, container: ContainerStatus) -> None:
         place = computer, container.name
         before = self._containers.get(place, container)
         if before.pid != container.pid:

@@ -278,7 +278,7 @@ class Recorder:
                 self._read(file, now, say)
             if self._silent_since is None:
                 for connector in self._connectors:
-                    self._take_messages(file, connector, say)
+                    self._record_messages(file, connector, say)
             tell(now - began)
             time.sleep(min(_LOOK_EVERY, max(0.0, began + seconds - time.monotonic())))
 
@@ -344,7 +344,7 @@ class Recorder:
         step = wall_time() - self._time()
         file.add("decisions", LOG, entry.at - step, log)
 
-    def _take_messages(self, file: McapFile, connector: str, say: Say) -> None:
+    def _record_messages(self, file: McapFile, connector: str, say: Say) -> None:
         """Write its messages; say why there are none, and that there are some again."""
         why = ""
         try:

@@ -382,7 +382,7 @@ class Heartbeats:
         go_first()
         due = earliest = self._clock.now()
         while not self._ended.is_set():
-            self._take(due, earliest)
+            self._receive(due, earliest)
             pause = EVERY
             try:
                 pause = self._send()
@@ -391,7 +391,7 @@ class Heartbeats:
             now = self._clock.now()
             due, earliest = now + pause, now + _APART
 
-    def _take(self, until: float, earliest: float) -> None:
+    def _receive(self, until: float, earliest: float) -> None:
         """Take in what comes until a moment [s]; first of all what is there.
 
         What has to be answered is so at once, but not before `earliest` [s]. When more

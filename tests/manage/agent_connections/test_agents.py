@@ -35,14 +35,14 @@ def reports() -> AgentReports:
 def test_why_a_record_is_refused_is_told_once_and_the_next_one_taken(
     reports: AgentReports, caplog: pytest.LogCaptureFixture
 ) -> None:
-    hear: Any = reading(AgentStatus, reports.take_status, reports.on_refused)
+    hear: Any = reading(AgentStatus, reports.store_status, reports.on_refused)
     for _ in range(3):
         hear(Payload(b"\xc1 nonsense"))
     assert caplog.text == ""  # whoever logs may have to wait for what shows it
-    (why,) = reports.take_refused()
+    (why,) = reports.pop_refused()
     assert why.startswith("a record at poise/robot/status/left was refused: ")
     hear(Payload(b"\xc1 nonsense"))
-    assert reports.take_refused() == []
+    assert reports.pop_refused() == []
     status = AgentStatus(computer="left", generation=1, uptime=0.0, cpu=0.0)
     hear(Payload(msgspec.msgpack.encode(status)))
     assert reports.statuses() == {"left": status}
@@ -51,7 +51,7 @@ def test_why_a_record_is_refused_is_told_once_and_the_next_one_taken(
 def test_keeps_a_bounded_number_of_reasons(reports: AgentReports) -> None:
     for number in range(2 * MOST_REFUSED):
         reports.on_refused(f"reason {number}")
-    assert len(reports.take_refused()) == MOST_REFUSED
+    assert len(reports.pop_refused()) == MOST_REFUSED
 
 
 def test_a_computer_is_lost_since_it_was_silent(reports: AgentReports) -> None:

@@ -188,7 +188,7 @@ def test_a_condition_that_ends_an_action_and_the_repetition_around_it_ends_both(
         told,
         "task 't': a repetition ends: late == 0 holds",
     ]
-    assert [(each.action.name, each.done) for each in played.tasks.take_ended()] == [
+    assert [(each.action.name, each.done) for each in played.tasks.pop_ended()] == [
         ("a", True)
     ]
 

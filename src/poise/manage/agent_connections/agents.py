@@ -161,7 +161,7 @@ class Agents(AgentReports):
         self.heartbeats.close()
         close_session(self._session)
 
-    def take_status(self, status: AgentStatus) -> None:
+    def store_status(self, status: AgentStatus) -> None:
         """Store what an agent reported.
 
         One that obeys another manager answers the heartbeats of that one only: for this
@@ -175,7 +175,7 @@ class Agents(AgentReports):
                 self._silent.pop(status.computer, None)
                 if status.computer in self._claims.accepted:
                     self.heartbeats.forget(status.computer)
-        super().take_status(status)
+        super().store_status(status)
 
     def obey(self, computer: str) -> bool:
         """Return whether an agent is reached and obeys this manager."""

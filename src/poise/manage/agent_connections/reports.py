@@ -95,7 +95,7 @@ class AgentReports:
         return [
             session.declare_subscriber(
                 f"{prefix}/status/*",
-                reading(AgentStatus, self.take_status, self.on_refused),
+                reading(AgentStatus, self.store_status, self.on_refused),
             ),
             liveliness.declare_subscriber(
                 f"{prefix}/alive/*", self.on_alive, history=True
@@ -171,7 +171,7 @@ class AgentReports:
             raise RunError(
                 f"no agent answered within {limit:g} s on: {', '.join(missing)}. Is "
                 "`poise agent` running there, and can this computer reach it?"
-                + "".join(f"\n{refusal}" for refusal in [*said, *self.take_refused()])
+                + "".join(f"\n{refusal}" for refusal in [*said, *self.pop_refused()])
             )
 
     def raise_on_other_agents(self, missing: Iterable[str]) -> None:
@@ -189,7 +189,7 @@ class AgentReports:
         if others:
             raise RunError("; ".join(others))
 
-    def take_refused(self) -> list[str]:
+    def pop_refused(self) -> list[str]:
         """Return new reasons why records were refused, each once."""
         with self._changed:
             new = self._refused[self._num_taken :]
@@ -204,7 +204,7 @@ class AgentReports:
                 self._refused.append(sentence)
                 self._note_news()
 
-    def take_status(self, status: AgentStatus) -> None:
+    def store_status(self, status: AgentStatus) -> None:
         """Store what an agent reported."""
         if status.computer not in self._endpoints:
             return

@@ -395,7 +395,7 @@ class LiveRobot(DesiredState):
 
     def note_refused(self) -> None:
         """Journal why records of agents were refused."""
-        for sentence in self.agents.take_refused():
+        for sentence in self.agents.pop_refused():
             self.journal.note("wrong", sentence)
 
     def poll(self) -> None:

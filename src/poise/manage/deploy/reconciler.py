@@ -77,7 +77,7 @@ class Reconciler:
         agent, now = self._known.get(computer), self._clock.now()
         if agent is None:
             agent = self._known[computer] = _AskedAgent()
-        if agent.reply is not None and self._take(computer, agent, now):
+        if agent.reply is not None and self._note_answer(computer, agent, now):
             return  # what should run may be different, now that it was claimed
         if status is None:  # it is sent when it is back
             agent.trouble = agent.refusal = ""
@@ -104,7 +104,7 @@ class Reconciler:
         agent.refusal = ""
         agent.reply = self._agents.begin_deploy(computer, wanted)
         agent.is_claim = False
-        self._take(computer, agent, now)
+        self._note_answer(computer, agent, now)
 
     def troubles(self) -> dict[str, str]:
         """Return computer -> what its agent refuses or does not answer, for people."""
@@ -134,7 +134,7 @@ class Reconciler:
             return False
         return status.generation >= sent.generation or now < agent.sent_at + APPLY_LIMIT
 
-    def _take(self, computer: str, agent: _AskedAgent, now: float) -> bool:
+    def _note_answer(self, computer: str, agent: _AskedAgent, now: float) -> bool:
         """Take in an answer, if it is there or late; return whether it is claimed."""
         reply = agent.reply
         is_late = now >= agent.sent_at + ANSWER_LIMIT

@@ -98,11 +98,11 @@ class _Exporter(OTLPMetricExporter):  # type: ignore[misc]  # it has no types
         self, metrics_data: MetricsData, *args: object, **kwargs: object
     ) -> MetricExportResult:
         self._why = ""
-        _LOGGER.addFilter(self._take)
+        _LOGGER.addFilter(self._keep_reason)
         try:
             result = super().export(metrics_data, *args, **kwargs)
         finally:
-            _LOGGER.removeFilter(self._take)
+            _LOGGER.removeFilter(self._keep_reason)
         is_away = result is not MetricExportResult.SUCCESS
         if is_away and not self._is_away:
             self._say(
@@ -113,7 +113,7 @@ class _Exporter(OTLPMetricExporter):  # type: ignore[misc]  # it has no types
         self._is_away = is_away
         return result
 
-    def _take(self, record: logging.LogRecord) -> bool:
+    def _keep_reason(self, record: logging.LogRecord) -> bool:
         """Keep what OpenTelemetry says of this export, so that nobody else gets it."""
         if record.thread != threading.get_ident():
             return True

@@ -145,7 +145,7 @@ class CodeErrors:
                     stay = container.pid, component.start, component.epoch
                     raised = _raised(component, computer)
                     is_told = are_known or component.state == "failed"
-                    self._take(component.name, stay, raised, now, is_told=is_told)
+                    self._note_news(component.name, stay, raised, now, is_told=is_told)
                 for name, count in refused(container):
                     error = Deviation(
                         what=f"connector '{name}' refused messages on '{computer}': "
@@ -154,7 +154,7 @@ class CodeErrors:
                         since=wall_time(),
                     )
                     counts = {"": (count, error)}
-                    self._take(name, container.pid, counts, now, is_told=are_known)
+                    self._note_news(name, container.pid, counts, now, is_told=are_known)
         for key, (error, count, last) in list(self._coming.items()):
             if now - last >= QUIET:
                 del self._coming[key]
@@ -164,7 +164,7 @@ class CodeErrors:
         """Return what goes wrong now."""
         return tuple(error for error, _, _ in self._coming.copy().values())
 
-    def _take(
+    def _note_news(
         self,
         name: str,
         stay: Hashable,

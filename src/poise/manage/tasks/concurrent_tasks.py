@@ -239,7 +239,7 @@ class Tasks:
             for attempt, probability in self._next_of(record)
         ]
 
-    def take_ended(self) -> list[ActionEnded]:
+    def pop_ended(self) -> list[ActionEnded]:
         """Return the actions that have ended since the last call."""
         ended, self._ended = self._ended, []
         return ended

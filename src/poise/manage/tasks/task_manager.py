@@ -325,7 +325,7 @@ class TaskManager:
         `broken`: the component whose architecture could not begin.
         """
         blamed = self._live.robot.architecture_of(broken) if broken else None
-        for ended in self.tasks.take_ended():
+        for ended in self.tasks.pop_ended():
             self._since = boot_time()
             self._room_at = 0.0
             end = ended.action.ends

@@ -222,21 +222,23 @@ class Steps:
             return progress.state
         if isinstance(step, Action):
             if progress.inside:
-                self._take(progress, self._settle(_instead(step), progress.inside[0]))
+                self._set_state(
+                    progress, self._settle(_instead(step), progress.inside[0])
+                )
             return progress.state
         states = [self._settle(*pair) for pair in self._pairs(step, progress)]
         if isinstance(step, Parallel | Choice):
             if "failed" in states:
-                self._take(progress, "failed")
+                self._set_state(progress, "failed")
             elif "going" not in states:
-                self._take(progress, "done")
+                self._set_state(progress, "done")
         else:
             self._settle_sequence(step, progress, states[0])
         return progress.state
 
     def _settle_sequence(self, step: Step, progress: Progress, state: str) -> None:
         if state == "failed":
-            self._take(progress, "failed")
+            self._set_state(progress, "failed")
         elif state == "done":
             steps = self._of(step)
             progress.index += 1
@@ -245,7 +247,7 @@ class Steps:
                 progress.rounds += 1
                 times = step.times if isinstance(step, Repeat) else 1
                 if times is not None and progress.rounds >= times:
-                    self._take(progress, "done")
+                    self._set_state(progress, "done")
                     return
             progress.inside = [self._begin(steps[progress.index])]
 
@@ -267,7 +269,7 @@ class Steps:
         else:
             progress.state = "failed"
 
-    def _take(self, progress: Progress, state: str) -> None:
+    def _set_state(self, progress: Progress, state: str) -> None:
         if state == "going":
             return
         progress.state = state

@@ -192,7 +192,7 @@ class Agent:
             while not self._is_asked_to_end:
                 self._inbox.work()
                 core.tick()
-                self._take_news(min(core.moment(), self._service.due))
+                self._await_news(min(core.moment(), self._service.due))
                 self._service.live(self._clock.now())
         self._service.end()
         if self._is_leaving:
@@ -322,7 +322,7 @@ class Agent:
         self._is_asked_to_end, self._is_leaving = True, number == LEAVE
         self._waker.wake()
 
-    def _take_news(self, until: float) -> None:
+    def _await_news(self, until: float) -> None:
         """Wait for news until some moment [s], and tell the core of it."""
         supervised, lifeline = self._core.supervised, self._setup.lifeline
         is_heard = self._core.supervisor.is_heard
@@ -431,7 +431,7 @@ class Agent:
             core.end()
             while not core.has_ended():
                 core.tick()
-                self._take_news(self._clock.now() + _ENDING_EVERY)
+                self._await_news(self._clock.now() + _ENDING_EVERY)
         finally:
             core.kill_all()
 

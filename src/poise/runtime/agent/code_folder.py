@@ -98,7 +98,7 @@ class CodeFolder:
     def _done(self, request: CodePart | InstallCode) -> Answer:
         try:
             if isinstance(request, CodePart):
-                return self._take(request)
+                return self._store(request)
             self._install(request.version)
         except OSError as error:
             free = format_bytes(shutil.disk_usage(self._folder).free)
@@ -111,7 +111,7 @@ class CodeFolder:
             return Refused(str(error))
         return Accepted()
 
-    def _take(self, part: CodePart) -> Answer:
+    def _store(self, part: CodePart) -> Answer:
         """Store a part; whatever goes wrong, nothing wrong stays."""
         whole, path = self._whole(part.file), self._folder / f"{part.file}.part"
         if whole.exists():

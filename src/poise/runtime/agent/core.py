@@ -266,7 +266,7 @@ class AgentCore:
         if isinstance(request, Claim):
             reply(self._claimed(request, asked.token))
         elif isinstance(request, CodePart | InstallCode):
-            self._take_code(request, reply)
+            self._serve_code(request, reply)
         elif isinstance(request, ContainerRequest):
             if refusal:
                 reply(StepsFailed(request.number, refusal))
@@ -298,7 +298,7 @@ class AgentCore:
         if self._world.code is not None:
             self._world.code.keep(wanted.code)
 
-    def _take_code(self, request: CodePart | InstallCode, reply: Reply) -> None:
+    def _serve_code(self, request: CodePart | InstallCode, reply: Reply) -> None:
         code = self._world.code
         if code is None:
             reply(Refused("it runs no components, and takes no code"))

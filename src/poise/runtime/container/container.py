@@ -361,13 +361,13 @@ class Container:
         if not self._preparing and not self._ending:
             return False
         with as_usual():
-            prepared = self._take_prepared()
+            prepared = self._start_prepared()
             has_changed = self._end_removed() or bool(prepared)
             if has_changed and self._wanted is not None:
                 self._apply(self._wanted, new=prepared)
         return has_changed
 
-    def _take_prepared(self) -> list[ComponentKey]:
+    def _start_prepared(self) -> list[ComponentKey]:
         """Start the components whose preparation is done; return which these are."""
         done = [key for key, (_, future) in self._preparing.items() if future.done()]
         for key in done:

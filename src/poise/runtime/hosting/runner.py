@@ -281,7 +281,7 @@ class Runner:
             self.life_cycle.wait_while_active(_FENCED)
         elif step is not None:
             if step[0] != "deactivate" or self._pause():
-                self._take(*step)
+                self._step_on(*step)
         elif self.life_cycle.goal == "active":
             self._work()
         else:
@@ -289,7 +289,7 @@ class Runner:
             self.life_cycle.wait_for_step()
             self.counters.note_busy()
 
-    def _take(self, hook: str, state: State) -> None:
+    def _step_on(self, hook: str, state: State) -> None:
         if hook == "deactivate":
             self.counters.plan([])
             self.timers.stop(self.clock.now())
@@ -343,7 +343,7 @@ class Runner:
         until = self.clock.now() + _BUSY_LIMIT
         while not self.gate.is_paused and self.life_cycle.goal != "active":
             try:
-                self.gate.pause_oneself(_PATIENCE, self._take_answers)
+                self.gate.pause_oneself(_PATIENCE, self._run_waiting)
             except Timeout as error:
                 log.warning("%s", error)
                 if self.life_cycle.goal == "finalized":
@@ -355,7 +355,7 @@ class Runner:
                     return False
         return self.gate.is_paused
 
-    def _take_answers(self) -> bool:
+    def _run_waiting(self) -> bool:
         """Run what waits for its turn; return False when nothing may: no lease."""
         while self._turns and not self.is_fenced:
             try:
@@ -393,13 +393,13 @@ class Runner:
         if self._parameters_handed and self._enter():
             handed, self._parameters_handed = self._parameters_handed, {}
             self.parameters_set = dict(handed)
-            self._run(self._take_parameters, "reconfigure", handed)
+            self._run(self._apply_parameters, "reconfigure", handed)
         if spec.changed_parameters != self._changed_parameters and self._enter():
             self._changed_parameters = told = spec.changed_parameters
             newer = {n: v for n, v in self.parameters_set.items() if told.get(n) != v}
             changes = {n: v for n, v in told.items() if n not in newer}
             self.parameters_set = newer
-            self._run(self._take_parameters, "reconfigure", changes)
+            self._run(self._apply_parameters, "reconfigure", changes)
         self._begin_actions(spec.actions)
         while self._turns and self._enter():
             what, method = self._turns.popleft()
@@ -409,7 +409,7 @@ class Runner:
                 self._run_timer(releases)
         due = self.timers.next_due()
         if self.checkpoints is not None:
-            due = self._take_checkpoint(self.checkpoints, due)
+            due = self._checkpoint_if_due(self.checkpoints, due)
         limit = None if due is None else max(0.0, due - self.clock.now())
         self.counters.note_idle()
         work = self.endpoints.mailbox.work(limit)
@@ -451,13 +451,13 @@ class Runner:
         self._turns.append(("answer", turn))
         self.endpoints.mailbox.wake()
 
-    def _take_parameters(self, changes: Mapping[str, Any]) -> None:
+    def _apply_parameters(self, changes: Mapping[str, Any]) -> None:
         """Take parameters that were set at another place, or while it was away."""
         now = plain(self.component.parameters)
         if any(now.get(name) != value for name, value in changes.items()):
             set_parameters(self.component, changes)
 
-    def _take_checkpoint(self, checkpoints: Checkpoints, due: float | None) -> float:
+    def _checkpoint_if_due(self, checkpoints: Checkpoints, due: float | None) -> float:
         """Take a checkpoint when it is time; return when there is something to do."""
         if checkpoints.due <= self.clock.now() and self._enter():
             self._run(self._write_checkpoint, "checkpoint", checkpoints)

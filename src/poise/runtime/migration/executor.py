@@ -148,7 +148,7 @@ class MigrationExecutor(StepTaker):
         if runner in self._participants:
             self._participants.pop(runner).close()
 
-    def _take(self, step: Step, migration: int, deadline: float) -> None:
+    def _carry_out(self, step: Step, migration: int, deadline: float) -> None:
         try:
             self._act(step, migration, deadline)
         except PoiseError:

@@ -55,9 +55,9 @@ class StepTaker(ABC):
 
     def receive(self, batch: MigrationSteps) -> Callable[[], StepsOutcome]:
         """Return what takes steps that came just now."""
-        return partial(self._take_all, batch, self._now(), self._num_deployments)
+        return partial(self._carry_out_all, batch, self._now(), self._num_deployments)
 
-    def _take_all(
+    def _carry_out_all(
         self, batch: MigrationSteps, received: float, deployment: int
     ) -> StepsOutcome:
         deadline = received + _SHARE * batch.limit
@@ -66,7 +66,7 @@ class StepTaker(ABC):
             for step in batch.steps:
                 self._begin(step, deployment, batch.targets)
                 began = self._now()
-                self._take(step, batch.migration, deadline)
+                self._carry_out(step, batch.migration, deadline)
                 ended = self._now()
                 is_sender = not step.component
                 who = batch.container if is_sender else f"{step.component}/{step.epoch}"
@@ -86,5 +86,5 @@ class StepTaker(ABC):
                 self._is_committed = True
 
     @abstractmethod
-    def _take(self, step: Step, migration: int, deadline: float) -> None:
+    def _carry_out(self, step: Step, migration: int, deadline: float) -> None:
         """Take one step of a migration until a moment, or raise PoiseError."""

@@ -194,7 +194,7 @@ class MigrationModel(StepTaker):
             f"steps {batch.number % 1000}", lambda: container.answer(take())
         )
 
-    def _take(self, step: Step, migration: int, deadline: float) -> None:
+    def _carry_out(self, step: Step, migration: int, deadline: float) -> None:
         container = self._container
         match step.name:
             case "buffer":
@@ -223,11 +223,11 @@ class MigrationModel(StepTaker):
         component = self._component(step)
         with self._phases_of(component, step, migration).taking(step.name, step.phase):
             if step.role == "source":
-                self._take_source(component, step, migration, deadline)
+                self._carry_out_at_source(component, step, migration, deadline)
             else:
-                self._take_target(component, step, migration, deadline)
+                self._carry_out_at_target(component, step, migration, deadline)
 
-    def _take_source(
+    def _carry_out_at_source(
         self,
         component: SimulatedComponent,
         step: Step,
@@ -251,7 +251,7 @@ class MigrationModel(StepTaker):
                 self.give_back(component)
                 component.resume()
 
-    def _take_target(
+    def _carry_out_at_target(
         self,
         component: SimulatedComponent,
         step: Step,

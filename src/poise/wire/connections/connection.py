@@ -180,7 +180,7 @@ class Connection:
             self._channel.send(placed.pieces, deadline, LARGEST, *placed.where)
         except BaseException:
             # also when a signal's handler raises: else the block were lost for good
-            self._take_back(placed)
+            self._free_slot(placed)
             raise
         self._known[placed.block.number] = placed.block
 
@@ -194,7 +194,7 @@ class Connection:
             # after an error it is not taken back: the other end may read it
             got = ask(placed.pieces, deadline, LARGEST, lenders, *placed.where)
             if got is None:
-                self._take_back(placed)
+                self._free_slot(placed)
             else:
                 self._known[placed.block.number] = placed.block
         if isinstance(got, tuple):
@@ -246,7 +246,7 @@ class Connection:
             number, file = number | _NEW, block.file
         return _Placed(block, pieces, (number, size, target, file))
 
-    def _take_back(self, placed: _Placed) -> None:
+    def _free_slot(self, placed: _Placed) -> None:
         """Undo `_place`: the other end has not got the frame."""
         if self._slot is not None:
             placed.block.release(self._slot)
