@@ -16,6 +16,7 @@ from types import ModuleType
 from typing import Any
 
 from poise.errors import RobotError
+from poise.home_folder import home_folder
 from poise.ros2.shared_memory import remove_leftovers
 
 _arguments: ContextVar[Sequence[str] | None] = ContextVar("arguments", default=None)
@@ -65,7 +66,7 @@ def home() -> dict[str, str]:
     """Return what tells ROS 2 where to log, which it refuses to start without."""
     if {"HOME", "ROS_HOME", "ROS_LOG_DIR"} & os.environ.keys():
         return {}
-    ours = Path("~").expanduser()  # as the list of users has it
+    ours = home_folder()  # as the list of users has it
     if os.access(ours, os.W_OK):
         return {"ROS_HOME": str(ours / ".ros")}
     return {"ROS_LOG_DIR": tempfile.mkdtemp(prefix="poise-ros-")}

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from poise.errors import RunError, UsageError
+from poise.home_folder import home_folder
 
 _SYSTEM = Path("/etc/systemd/system")
 _BOOTED = Path("/run/systemd/system")
@@ -144,5 +145,5 @@ def _runs(*, is_users: bool) -> bool:
 def _folder(*, is_users: bool) -> Path:
     if not is_users:
         return _SYSTEM
-    place = os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config"
+    place = os.environ.get("XDG_CONFIG_HOME") or home_folder() / ".config"
     return Path(place) / "systemd/user"

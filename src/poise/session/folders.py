@@ -12,13 +12,14 @@ from hashlib import blake2s
 from pathlib import Path
 
 from poise.errors import RunError, UsageError
+from poise.home_folder import home_folder
 
 _JOURNAL = "journal.jsonl"
 
 
 def state_folder() -> Path:
     """Return the folder of this user's robots."""
-    state = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
+    state = os.environ.get("XDG_STATE_HOME") or home_folder() / ".local" / "state"
     return Path(state) / "poise"
 
 

@@ -20,6 +20,7 @@ from typing import Any, Literal
 
 from poise.clock import wall_time
 from poise.errors import RunError, UsageError
+from poise.home_folder import home_folder
 from poise.wire.address import KEYS
 
 Role = Literal["agent", "manager", "viewer"]
@@ -223,7 +224,7 @@ def _subject(decoded: Mapping[str, Any]) -> dict[str, str]:
 
 def folders(robot: str) -> list[Path]:
     """Return where the keys of a robot are looked for, in order."""
-    data = os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share"
+    data = os.environ.get("XDG_DATA_HOME") or home_folder() / ".local" / "share"
     return [Path(data) / "poise" / "keys" / robot, Path("/etc/poise/keys") / robot]
 
 

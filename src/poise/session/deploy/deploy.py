@@ -26,6 +26,7 @@ from poise.clock import SystemClock
 from poise.decoding import from_json
 from poise.errors import RunError, UsageError
 from poise.estimate.code_version import files_of, files_of_modules
+from poise.home_folder import home_folder
 from poise.manage.agent_connections.reports import AgentReports
 from poise.manage.agent_connections.requests import AgentRequests
 from poise.model.robot import Robot
@@ -435,7 +436,7 @@ def _target(platform: str) -> list[str]:
 
 
 def _cached(digest: str) -> Path:
-    cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    cache = os.environ.get("XDG_CACHE_HOME") or home_folder() / ".cache"
     return Path(cache, "poise", "wheels", f"{digest}.whl")
 
 
