@@ -15,7 +15,7 @@ from poise.runtime.component.component import Verb
 from poise.runtime.component.started_calls import StartedCalls
 from poise.runtime.connectors.endpoints import ComponentEndpoints
 from poise.runtime.execution.exclusion import Exclusion, new_chain
-from poise.wire.records.deployment_records import TargetState
+from poise.wire.records.deployment_records import LifeCycleGoal
 from poise.wire.records.status_records import ActionEnd, State, TaskRequest
 
 ENDED: AbstractSet[State] = {"finalized", "failed"}
@@ -34,7 +34,7 @@ class LifeCycle:
 
     def __init__(self) -> None:
         self.state: State = "unconfigured"
-        self.goal: TargetState = "inactive"
+        self.goal: LifeCycleGoal = "inactive"
         self._changed = threading.Condition()
 
     @property
@@ -42,7 +42,7 @@ class LifeCycle:
         """Whether it is active, and should be."""
         return (self.state, self.goal) == ("active", "active")
 
-    def aim(self, goal: TargetState) -> None:
+    def aim(self, goal: LifeCycleGoal) -> None:
         """Set the goal; in vain after `finalized`."""
         with self._changed:
             if self.goal != "finalized":

@@ -38,7 +38,7 @@ from poise.runtime.hosting.checkpoints import Checkpoints
 from poise.runtime.hosting.life_cycle import ENDED, ExecutionGate, LifeCycle, TaskNews
 from poise.runtime.hosting.output import write_as
 from poise.wire.codec import codec
-from poise.wire.records.deployment_records import ComponentSpec, TargetState
+from poise.wire.records.deployment_records import ComponentSpec, LifeCycleGoal
 from poise.wire.records.status_records import ComponentStatus, State
 
 log = logging.getLogger(__name__)
@@ -145,7 +145,7 @@ class Runner:
         """Start its thread; it goes to the goal by itself."""
         self._thread.start()
 
-    def aim(self, goal: TargetState) -> None:
+    def aim(self, goal: LifeCycleGoal) -> None:
         """Set the goal; harmless when repeated. To be active, a pause ends."""
         self.gate.end_migration()
         self.owes_changes = False

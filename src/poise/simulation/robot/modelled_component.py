@@ -12,7 +12,7 @@ from poise.errors import RunError
 from poise.runtime.migration.step_taker import StepTaker
 from poise.simulation._engine import ExecutorState, Sender
 from poise.simulation.component_models import drawn
-from poise.wire.records.deployment_records import ComponentSpec, TargetState
+from poise.wire.records.deployment_records import ComponentSpec, LifeCycleGoal
 from poise.wire.records.migration_records import MigrationPhases, MigrationSteps, Step
 from poise.wire.records.status_records import ActionEnd, ComponentStatus, State
 
@@ -38,7 +38,7 @@ class SimulatedComponent:
         self.key = spec.name, spec.epoch
         self.container = container
         self.state: State = "unconfigured"
-        self.goal: TargetState = "inactive"
+        self.goal: LifeCycleGoal = "inactive"
         self.executor = container.execution.add(
             self.key,
             process.pid,
@@ -60,7 +60,7 @@ class SimulatedComponent:
         if spec.goal != "stay":
             self.aim(spec.goal)
 
-    def aim(self, goal: TargetState) -> None:
+    def aim(self, goal: LifeCycleGoal) -> None:
         """Set the goal, which ends a migration that pauses it."""
         if self.goal == "finalized":
             return
@@ -143,7 +143,7 @@ class SimulatedComponent:
         if self.state == "active" and self.goal in {"active", "ready"}:
             self.executor.work()
             return
-        steps: dict[tuple[State, TargetState], State] = {
+        steps: dict[tuple[State, LifeCycleGoal], State] = {
             ("inactive", "ready"): "active",
             ("inactive", "active"): "active",
             ("active", "inactive"): "inactive",

@@ -12,8 +12,9 @@ Goal = Literal["inactive", "active", "stay"]
 """What a component should be. `stay`: as it is, and inactive when it is new: so a
 container that ends in the middle of a move begins again with nothing of it active."""
 
-TargetState = Literal["inactive", "ready", "active", "finalized"]
-"""Where a component goes. `ready`: activated, and paused until it is `active`."""
+LifeCycleGoal = Literal["inactive", "ready", "active", "finalized"]
+"""Where a container brings a component. `ready`: activated, and paused until it is
+`active`."""
 
 ConnectorKind = Literal["direct", "local", "remote"]
 
