@@ -635,6 +635,21 @@ def test_a_missing_implementation_is_not_put_in(world: MovingRobot) -> None:
     assert world.told("sink")[1] == 0
 
 
+def test_code_that_ends_its_container_is_no_crash_loop(world: MovingRobot) -> None:
+    """It was tried until its container counted as one that crashes again and again."""
+    run = world.start("Counter", isolated=True)
+    (world.folder / "deadly.py").write_text("import os\n\nos._exit(3)\n")
+    pending = plan_replacement(run, "counter", "deadly:Counter").configure_ahead()
+    world.wait_for(pending.is_decided)
+    report = pending.run()
+    assert not report.committed
+    assert "ended with exit code 3" in report.reason
+    world.works()
+    health = run.health_of(run.placed["counter"])
+    assert health is not None
+    assert 1 <= health.restarts < 5  # else a policy restarts it elsewhere
+
+
 def test_a_slow_import_of_a_target_holds_up_nothing(world: MovingRobot) -> None:
     """The container's control thread imported: it heard and reported nothing."""
     run = world.start("Counter")

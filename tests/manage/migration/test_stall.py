@@ -16,6 +16,7 @@ from poise.wire.records.status_records import (
     ComponentStatus,
     ContainerHealth,
     ContainerStatus,
+    Fault,
     State,
 )
 
@@ -31,6 +32,7 @@ class Preparation:
         self.run = Mock(**{"layout.container_of.return_value": "main"})
         self.misses("connector 'a.out-mid.in' is not joined")
         self.is_at("inactive")
+        self.has_faults()
         live = cast("LiveRobot", self.run)
         self.stall = Stall(live, lambda: self.now)
         self.stall.check(self.run.missing(), [TARGET])
@@ -50,6 +52,11 @@ class Preparation:
                 containers=(container,),
                 health=health,
             )
+        }
+
+    def has_faults(self, *faults: Fault) -> None:
+        self.run.agents.statuses.return_value = {
+            "c": AgentStatus(computer="c", generation=1, uptime=0, cpu=0, faults=faults)
         }
 
     def look_after(self, seconds: float) -> None:
@@ -87,3 +94,16 @@ def test_a_container_may_take_longer_to_start() -> None:
     preparation = Preparation()
     preparation.is_at("inactive", STARTING)
     preparation.look_after(10 * STALL_LIMIT)
+
+
+def test_code_that_ends_its_container_ends_the_preparation_at_once() -> None:
+    """It was tried seven times, each of which ended what else worked there."""
+    preparation = Preparation()
+    preparation.is_at("unconfigured")
+    other = Fault(container="other", message="ended with exit code 1", number=1)
+    preparation.has_faults(other)
+    preparation.look_after(0.1)
+    fault = Fault(container="main", message="ended with exit code 3", number=2)
+    preparation.has_faults(other, fault)
+    with pytest.raises(RunError, match="'main' on 'c' ended with exit code 3"):
+        preparation.look_after(0.1)

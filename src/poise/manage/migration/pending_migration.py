@@ -17,6 +17,7 @@ from poise.manage.agent_connections.statuses import components_of
 from poise.manage.deploy.desired import Incarnation
 from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.migration.migration_report import MigrationReport
+from poise.manage.observe.deviations import combined, faults_after, last_numbers
 
 PREPARE_LIMIT = 30.0
 """The targets are configured, and have a large state, within this time [s]."""
@@ -25,7 +26,7 @@ STALL_LIMIT = 2.0
 
 
 class Stall:
-    """Notices when nothing goes on any more. Use it for one preparation."""
+    """Notices when nothing goes on any more, or ends. Use it for one preparation."""
 
     def __init__(
         self,
@@ -36,20 +37,34 @@ class Stall:
         self._missing: list[str] = []
         self._clock = clock
         self._since = clock()
+        self._faults_before = last_numbers(live.agents.statuses())
 
     def check(self, missing: list[str], wanted: Collection[Incarnation]) -> None:
         """Raise RunError when nothing came nearer for `STALL_LIMIT`.
 
-        Users' code that is imported or configured may take longer.
+        Users' code that is imported or configured may take longer. When it ends its
+        container, this raises at once: each try ends what else works there.
 
         `missing`: what is waited for, in words.
         """
+        self._raise_on_faults(wanted)
         now = self._clock()
         if missing != self._missing or self._is_configuring(wanted):
             self._missing, self._since = missing, now
         elif now > self._since + STALL_LIMIT:
             text = f"no progress for {STALL_LIMIT:g} s"
             raise RunError(f"{text}: {'; '.join(missing)}")
+
+    def _raise_on_faults(self, wanted: Collection[Incarnation]) -> None:
+        container_of = self._live.layout.container_of
+        places = {(w.computer, container_of(w)) for w in wanted}
+        later = faults_after(self._faults_before, self._live.agents.statuses())
+        if faults := [
+            (computer, fault)
+            for computer, fault in later
+            if (computer, fault.container) in places and not fault.is_over
+        ]:
+            raise RunError("; ".join(combined(faults)))
 
     def _is_configuring(self, wanted: Collection[Incarnation]) -> bool:
         """Return whether one is being started, imported or configured."""
