@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from enum import Enum
 from typing import Any
 
 import numpy as np
@@ -36,6 +37,23 @@ def untyped(before):  # type: ignore[no-untyped-def] # noqa: ANN001, ANN201
 
 def of_two(one: Before, two: Before) -> After:  # noqa: ARG001
     return After(one.localiser)
+
+
+class Colour(Enum):
+    """Has a method, as an interface does."""
+
+    RED = "red"
+
+    def shade(self) -> str:
+        return self.value
+
+
+class Mixed(Message):
+    of: dict[str, int]
+    at: Belief | None
+    names: list[str]
+    colour: Colour
+    raw: bytes
 
 
 def of_a_number(number: int) -> After:
@@ -83,3 +101,12 @@ def test_a_state_fits_what_restores_its_type(state: Any, taken: Any) -> None:
 def test_a_state_of_another_type_does_not(taken: Any) -> None:
     with pytest.raises(UsageError, match="restore takes"):
         check_fits(describe_type(tuple), taken, "restore")
+
+
+def test_says_in_the_words_of_code_what_a_state_is_made_of() -> None:
+    """It said `of: ("<class 'dict'>", ('str', 'int'))`."""
+    words = (
+        "(of: dict[str, int], at: Belief(pose: float) | NoneType, "
+        "names: list[str], colour: Colour, raw: bytes)"
+    )
+    assert describe_type(Mixed) == words

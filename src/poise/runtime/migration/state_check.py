@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Collection, Mapping
+import re
+from collections.abc import Callable, Collection, Iterable, Mapping
 from functools import cache
 from types import UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
@@ -30,8 +31,26 @@ def describe_type(type_: Any) -> str:  # noqa: ANN401, any type
     if isinstance(type_, type) and issubclass(type_, Struct):
         assert isinstance(made_of, tuple)  # noqa: S101, of a message class
         fields = made_of[1]  # the class's own name does not count
-        return f"({', '.join(f'{name}: {of}' for name, of in fields)})"
+        return _fields_in_words(fields)
     return str(made_of)
+
+
+def _fields_in_words(fields: Iterable[tuple[str, Any]]) -> str:
+    return f"({', '.join(f'{name}: {_in_words(of)}' for name, of in fields)})"
+
+
+def _in_words(made_of: Any) -> str:  # noqa: ANN401, a fingerprint
+    """Return what a field's type is made of as it is written in code."""
+    if isinstance(made_of, str):
+        return made_of
+    name, parts = made_of
+    generic = re.fullmatch(r"<class '(.*)'>|(typing\..*)", name)
+    if generic is None:
+        is_message = all(len(part) == 2 for part in parts)  # noqa: PLR2004, a pair
+        return f"{name}{_fields_in_words(parts)}" if is_message else name
+    if "Union" in name:
+        return " | ".join(map(_in_words, parts))
+    return f"{generic[1] or generic[2]}[{', '.join(map(_in_words, parts))}]"
 
 
 def check_fits(
