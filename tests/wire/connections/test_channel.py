@@ -281,11 +281,27 @@ def test_messages_do_not_wait_for_a_sender_that_left_without_a_word(
     wire: Wire, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(connection_server, "_PATIENCE", 0.1)
+    monkeypatch.setattr(connection_server, "_RESENDING", 0.1)
     wire.server().open("echo", receiver := Receiver())
     lost, other = wire.channel(), wire.channel()
     lost.push(message("before"), LIMIT)  # its connection stays open
     other.push(message("after"), LIMIT)
     assert receiver.wait_for(2) == ["before", "after"]
+
+
+@remote
+def test_they_wait_for_what_the_senders_computer_sends_again_after_a_cut(
+    wire: Wire, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(connection_server, "_PATIENCE", 0.01)
+    wire.server().open("echo", receiver := Receiver())
+    before, after = wire.channel(), wire.channel()
+    before.push(message("first"), LIMIT)
+    after.push(message("third"), LIMIT)
+    time.sleep(0.3)
+    before.push(message("second"), LIMIT)
+    before.close()
+    assert receiver.wait_for(3) == ["first", "second", "third"]
 
 
 @both
@@ -296,6 +312,7 @@ def test_messages_after_a_time_limit_do_not_overtake_those_before(
     """Nor do those get lost which a slow receiver has not got by then."""
     if pause:
         monkeypatch.setattr(connection_server, "_PATIENCE", 0.25)
+        monkeypatch.setattr(connection_server, "_RESENDING", 0.25)
     came: list[str] = []
     go_on, all_came = threading.Event(), threading.Event()
 

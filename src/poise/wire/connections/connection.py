@@ -100,6 +100,12 @@ class Connection:
         self.is_lost = self._channel.is_lost()
         return not self.is_lost
 
+    def peer(self) -> str:
+        """Return the other end's computer by its IP; empty: it is this one, or gone."""
+        with contextlib.suppress(OSError):
+            return "" if self.is_local else str(self._connection.getpeername()[0])
+        return ""
+
     def is_drained(self, silence: float) -> bool:
         """Return whether all that came is read, and nothing came for `silence` [s]."""
         with contextlib.suppress(OSError):  # it is none of TCP, or closed

@@ -55,6 +55,9 @@ _TAKE_LIMIT = 30.0
 _PAUSE = 0.01
 _PATIENCE = 1.0
 """Once its sender left a connection, this silence ends it: the sender was lost [s]."""
+_RESENDING = 5.0
+"""The same if a new connection comes from the same computer, which is not lost: after a
+cut, TCP sends again with pauses that double, of as long as the cut at the most [s]."""
 _MOST_CONNECTIONS = 256
 """Connections that a container serves at a time; others are closed at once."""
 
@@ -224,7 +227,9 @@ class ConnectionServer:
             self.on_change()
         connection.send(frame.segments(NAME, name, FrameKind.HELLO), deadline)
         if before is not None:
-            _wait_until_taken(before)
+            peer = connection.peer()
+            is_back = peer and peer == before.connection.peer()
+            _wait_until_taken(before, _RESENDING if is_back else _PATIENCE)
 
     def _raise_if_unknown(self, connector: str) -> None:
         if connector not in self._handlers:
@@ -284,12 +289,15 @@ def _handed_over(gateway: socket.socket) -> socket.socket:
     return socket.socket(fileno=files[0])
 
 
-def _wait_until_taken(before: _ServedConnection) -> None:
-    """Wait for what was sent over the replaced connection, to keep the order."""
-    before.thread.join(_PATIENCE)
+def _wait_until_taken(before: _ServedConnection, patience: float) -> None:
+    """Wait for what was sent over the replaced connection, to keep the order.
+
+    `patience`: the silence that ends it [s].
+    """
+    before.thread.join(patience)
     while before.thread.is_alive():
         # sooner, it would lose what the sender's computer still has to send
-        if before.connection.is_drained(_PATIENCE):
+        if before.connection.is_drained(patience):
             before.connection.end(socket.SHUT_RD)
-        before.thread.join(_PATIENCE)
+        before.thread.join(patience)
         log.info("connector %s: older messages are being handled", before.connector)
