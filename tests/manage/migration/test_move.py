@@ -488,7 +488,7 @@ def test_a_publisher_waits_for_a_slow_subscriber_that_moves(
     [
         ("Unrestorable", "LookupError: no such map"),
         ("Unactivatable", "LookupError: no such motor"),
-        ("Hanging", "is not activated|took over"),
+        ("Hanging", "`activate` has not ended after|took over"),
         ("Unsnapshotable", "LookupError: no such tape"),
         ("Unwritable", "WireError: a value of type object cannot cross"),
         (

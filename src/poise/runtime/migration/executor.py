@@ -123,7 +123,8 @@ class Participant:
         runner = self._runner
         runner.aim("ready")
         if runner.life_cycle.wait_state({"active", "failed"}, limit) != "active":
-            error = runner.status().error or f"waited {limit:g} s"
+            late = f"`activate` has not ended after {limit:.3g} s"
+            error = runner.status().error or late
             raise RunError(f"component '{runner.spec.name}' is not activated: {error}")
 
 
