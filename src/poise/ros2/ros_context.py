@@ -16,8 +16,8 @@ from types import ModuleType
 from typing import Any
 
 from poise.errors import RobotError
-from poise.home_folder import home_folder
 from poise.ros2.shared_memory import remove_leftovers
+from poise.user_folders import home_folder
 
 _arguments: ContextVar[Sequence[str] | None] = ContextVar("arguments", default=None)
 _changing = threading.Lock()

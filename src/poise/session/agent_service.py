@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from poise.errors import RunError, UsageError
-from poise.home_folder import home_folder
+from poise.user_folders import home_folder
 
 _SYSTEM = Path("/etc/systemd/system")
 _BOOTED = Path("/run/systemd/system")

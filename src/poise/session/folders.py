@@ -12,7 +12,7 @@ from hashlib import blake2s
 from pathlib import Path
 
 from poise.errors import RunError, UsageError
-from poise.home_folder import home_folder
+from poise.user_folders import home_folder, temporary_folder
 
 _JOURNAL = "journal.jsonl"
 
@@ -114,7 +114,7 @@ def scratch_folder(prefix: str) -> Iterator[Path]:
 def agent_folder(of: str) -> Path:
     """Return the folder of an agent, the same one each time it is started."""
     name = blake2s(of.encode(), digest_size=8).hexdigest()
-    folder = Path(tempfile.gettempdir()) / f"poise-agent-{os.getuid()}-{name}"
+    folder = temporary_folder() / f"poise-agent-{os.getuid()}-{name}"
     folder.mkdir(mode=0o700, exist_ok=True)
     if folder.is_symlink() or folder.stat().st_uid != os.getuid():
         raise RunError(f"the folder {folder} is not this user's: choose another")

@@ -20,7 +20,7 @@ from typing import Any, Literal
 
 from poise.clock import wall_time
 from poise.errors import RunError, UsageError
-from poise.home_folder import home_folder
+from poise.user_folders import home_folder
 from poise.wire.address import KEYS
 
 Role = Literal["agent", "manager", "viewer"]

@@ -12,7 +12,6 @@ import fcntl
 import os
 import socket
 import struct
-import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,6 +21,7 @@ from msgspec import Struct
 
 from poise.decoding import from_json
 from poise.errors import RunError
+from poise.user_folders import temporary_folder
 from poise.wire.codec import MALFORMED
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ def folder() -> Path:
     runtime = os.environ.get("XDG_RUNTIME_DIR")
     if runtime:
         return Path(runtime) / "poise"
-    return Path(tempfile.gettempdir()) / f"poise-{os.getuid()}"
+    return temporary_folder() / f"poise-{os.getuid()}"
 
 
 def make_folder() -> Path:

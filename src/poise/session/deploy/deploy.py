@@ -26,7 +26,6 @@ from poise.clock import SystemClock
 from poise.decoding import from_json
 from poise.errors import RunError, UsageError
 from poise.estimate.code_version import files_of, files_of_modules
-from poise.home_folder import home_folder
 from poise.manage.agent_connections.reports import AgentReports
 from poise.manage.agent_connections.requests import AgentRequests
 from poise.model.robot import Robot
@@ -35,6 +34,7 @@ from poise.session.arguments import check_robot
 from poise.session.deploy.native_code import unfit
 from poise.session.launch.computers import Computers, real_agents
 from poise.units import format_bytes
+from poise.user_folders import home_folder
 from poise.wire.codec import MALFORMED
 from poise.wire.control_session import close_session, open_session
 from poise.wire.records.code_records import (
