@@ -120,9 +120,14 @@ def parse(text: str | float, dimension: Dimension) -> float:
 
 def quoted(value: object) -> str:
     """Return `value` in quotes on one line, shortened if it is long."""
-    text = str(value)
-    text = text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."
+    text = shortened(value)
     return f"'{''.join(c if c.isprintable() else repr(c)[1:-1] for c in text)}'"
+
+
+def shortened(value: object) -> str:
+    """Return `value` as text that is not too long for a line."""
+    text = str(value)
+    return text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."
 
 
 def counted(count: int, noun: str) -> str:

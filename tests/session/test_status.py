@@ -344,3 +344,12 @@ def test_no_pause_is_promised_that_was_not_measured(
         state=8_000_000,
     )
     assert any(says in line for line in what_if_lines(seen))
+
+
+def test_a_long_parameter_does_not_hide_the_rest() -> None:
+    """One of 15 MB was printed as a whole."""
+    answer = status(Estimate(mean=0.1, p95=0.1, error=0.01))
+    said = shown(replace(answer, parameters={NAME: {"mask": "y" * 10_000, "n": 1}}))
+    assert "mask = yyy" in " ".join(said.split())
+    assert "n = 1" in said
+    assert said.count("y") < 200

@@ -12,6 +12,7 @@ from typing import Any
 from msgspec import Struct, structs
 from msgspec.structs import replace
 
+from poise.units import shortened
 from poise.wire.records.deployment_records import Goal
 
 
@@ -204,8 +205,12 @@ def difference(before: Desired, after: Desired) -> list[str]:
         if key in old and old[key].goal != incarnation.goal
     )
     values = (
-        f"parameters of {name}: {dict(changed)}"
+        f"parameters of {name}: {_in_words(changed)}"
         for name, changed in after.parameters.items()
         if changed != before.parameters.get(name, {})
     )
     return [*gone, *come, *aims, *values]
+
+
+def _in_words(values: Mapping[str, Any]) -> str:
+    return ", ".join(f"{key} = {shortened(repr(each))}" for key, each in values.items())

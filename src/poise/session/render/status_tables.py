@@ -24,7 +24,7 @@ from poise.session.render.tables import (
     table,
     task_lines,
 )
-from poise.units import counted, format_bytes, format_seconds
+from poise.units import counted, format_bytes, format_seconds, shortened
 from poise.wire.records.status_records import ComponentStatus, ContainerHealth
 
 
@@ -50,7 +50,7 @@ def status_parts(status: RobotStatus) -> Iterator[RenderableType]:
         everything = "everything else" if status.under_way else "everything"
         yield f"{everything} is as the robot file says{lately}"
     for name, values in sorted(status.parameters.items()):
-        said = ", ".join(f"{key} = {value}" for key, value in values.items())
+        said = ", ".join(f"{key} = {shortened(value)}" for key, value in values.items())
         yield Text(f"parameters of '{name}' that were set since the start: {said}")
     yield component_table(status)
     for remark in remarks(status):

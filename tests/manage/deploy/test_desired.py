@@ -1,0 +1,15 @@
+"""What a commit changes, in words for the journal."""
+
+from __future__ import annotations
+
+from poise.manage.deploy.desired import Desired, difference
+
+
+def test_a_long_parameter_does_not_fill_the_journal() -> None:
+    """A line of it took as much of the journal as all that had happened before."""
+    before = Desired(placed={})
+    after = before.with_parameters("camera", {"mask": "y" * 10_000, "gain": 0.5})
+    (changed,) = difference(before, after)
+    assert changed.startswith("parameters of camera: mask = 'yyy")
+    assert changed.endswith("..., gain = 0.5")
+    assert len(changed) < 200
