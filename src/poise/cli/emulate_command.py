@@ -15,6 +15,7 @@ from poise.cli.main import Interrupts
 from poise.cli.options import AsJson, RobotFile, Set, arguments_of, parse_option, show
 from poise.emulate import EmulatedSet, InjectedFault, all_sets, find_set
 from poise.errors import UsageError
+from poise.session.launch.background_log import keep_log_small
 from poise.session.launch.computers import emulated
 from poise.session.launch.printer import Printer, log_printer
 from poise.session.render.printable import console_to
@@ -72,6 +73,7 @@ def emulate_command(file: RobotFile, set_: Set = None) -> None:
             say(f"the computers of robot '{robot.name}' are up ({names}); Ctrl-C ends")
             while not interrupts.has_come():
                 kept.state()  # raises when another process has removed it
+                keep_log_small()
                 time.sleep(_POLL_EVERY)
             say("stopping")
 

@@ -33,6 +33,7 @@ from poise.errors import UsageError
 from poise.model.steps import Prefetch
 from poise.session.deploy.deploy import deploy
 from poise.session.folders import make_folder, to_write
+from poise.session.launch.background_log import keep_log_small
 from poise.session.launch.printer import Printer, log_printer
 from poise.session.placing.placement import place
 from poise.session.render.printable import console_to
@@ -236,6 +237,7 @@ def up_command(
             say(f"robot '{robot.name}' is up with task '{names}'; {ends} ends it")
             while not running.wait(_POLL_EVERY):
                 interrupts.check()
+                keep_log_small()
             say("stopping")
         if running.started.live.remaining:  # it was said as it came
             raise typer.Exit(1)

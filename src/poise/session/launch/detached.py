@@ -13,18 +13,16 @@ from pathlib import Path
 from msgspec import Struct
 
 from poise.emulate import set_for
-from poise.errors import PoiseError, RunError, UsageError, signal_name
+from poise.errors import PoiseError, RunError, signal_name
 from poise.model.robot import Robot
 from poise.session import Check, Say
-from poise.session.folders import state_folder
+from poise.session.launch.background_log import log_of
 from poise.session.running_robots.running import Running
 from poise.wire.robots_here import is_alive, path_of
 
 _LOOK_EVERY = 0.05
 _LIMIT = 300.0
 """Computers and robots are up within this time, or something is wrong [s]."""
-_LARGE_LOG = 1_000_000
-"""A log does not grow beyond this when a manager starts [bytes]."""
 _END_LIMIT = 30.0
 """A process that is not wanted any more ends within this time [s]."""
 
@@ -67,7 +65,7 @@ def up_detached(
     with contextlib.ExitStack() as undo:
         is_emulated = not any(computer.address for computer in robot.computers)
         if is_emulated and set_for(robot) is None:
-            log = _log(f"{robot.name}.computers")
+            log = log_of(f"{robot.name}.computers")
             size = log.stat().st_size
             values = [f"--set={argument}" for argument in arguments]
             keeper = _started(["emulate", str(file), *values], log)
@@ -76,29 +74,13 @@ def up_detached(
             say(
                 f"its emulated computers stay up until `poise emulate stop`; log: {log}"
             )
-        log = _log(robot.name)
+        log = log_of(robot.name)
         size = log.stat().st_size
         process = _started(words, log)
         undo.callback(_end, process)
         _wait(process, log, size, lambda: _manages(process.pid, robot.name), check)
         undo.pop_all()
     return Detached(robot.name, process.pid, log)
-
-
-def _log(name: str) -> Path:
-    """Return the path of a log, to append to; a large one is renamed first."""
-    path = state_folder() / f"{name}.log"
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        if path.exists() and path.stat().st_size > _LARGE_LOG:
-            path.rename(path.with_suffix(".before.log"))
-        path.touch(0o600)  # what components print is this user's alone
-    except OSError as error:
-        raise UsageError(
-            f"{path} cannot be written: {error.strerror}. It is the log of a process "
-            "in the background: choose another folder by XDG_STATE_HOME"
-        ) from error
-    return path
 
 
 def _started(words: Sequence[str], log: Path) -> subprocess.Popen[bytes]:
