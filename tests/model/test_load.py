@@ -180,6 +180,16 @@ def test_a_missing_file_is_a_problem(tmp_path: Path) -> None:
         load(tmp_path / "nothing.yaml")
 
 
+def test_a_file_in_a_working_directory_that_was_removed_is_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    with pytest.raises(RobotError, match=r"robot\.yaml: does not exist"):
+        load("robot.yaml")
+
+
 def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(RobotError, match="is not an ordinary file"):

@@ -248,7 +248,10 @@ class _Reader:
         self, path: Path, asked: Location | None, above: tuple[Path, ...]
     ) -> bool:
         # Unlike Path.resolve, it does not raise for cyclic symbolic links.
-        real = realpath(path)
+        try:
+            real = realpath(path)
+        except FileNotFoundError:  # the working directory was removed
+            real = str(path)
         if asked and real in [realpath(p) for p in above]:
             circle = " -> ".join(p.name for p in (*above, path))
             self._problems.append(
