@@ -10,6 +10,8 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 
+from poise.errors import RunError
+
 log = logging.getLogger(__name__)
 
 SHOWN_FOR = 60.0
@@ -53,6 +55,19 @@ def _hook(
             others(args)
 
     return hook
+
+
+def explained(error: Exception) -> Exception:
+    """Return a RunError with a way out where no thread is free; else the error itself.
+
+    Python has no class of its own for this error, which any library may raise.
+    """
+    if not isinstance(error, RuntimeError) or str(error) != "can't start new thread":
+        return error
+    return RunError(
+        "no thread can be started: raise the limit of processes (`ulimit -u`, TasksMax "
+        "of a service, pids.max of a cgroup), or that of memory (`ulimit -v`)"
+    )
 
 
 class Failures:

@@ -130,6 +130,43 @@ def test_no_handler_raises(code: str, said: str) -> None:
     assert (done.returncode, done.stdout, done.stderr) == (128 + 15, said, "")
 
 
+NO_THREAD = """
+import threading
+from poise.cli.main import run_process
+
+def start(_: threading.Thread) -> None:
+    raise RuntimeError("can't start new thread")
+
+threading.Thread.start = start
+run_process()
+"""
+
+
+@pytest.mark.parametrize(
+    ("words", "code"),
+    [
+        (("run", "robot.yaml"), 1),
+        (("agent", "left", "--robot", "full", "--address", "127.0.0.1"), 70),
+    ],
+)
+def test_a_computer_without_a_free_thread_is_no_bug(
+    words: tuple[str, ...], code: int
+) -> None:
+    port = ("--port", str(free_port())) if words[0] == "agent" else ()
+    done = subprocess.run(
+        [sys.executable, "-c", NO_THREAD, *words, *port],
+        cwd=HELLO,
+        capture_output=True,
+        text=True,
+        timeout=LONG,
+        check=False,
+    )
+    assert done.returncode == code
+    assert "no thread can be started: raise the limit of processes" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert "bug" not in done.stderr
+
+
 def test_nohup_lets_a_command_go_on() -> None:
     code = (
         "import os, signal\n"

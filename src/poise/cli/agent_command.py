@@ -24,6 +24,7 @@ from poise.runtime.agent.surroundings import BROKEN, DEPLOYED, AgentSetup
 from poise.runtime.container.account import Account
 from poise.session.agent_service import AgentService
 from poise.session.folders import agent_folder, state_folder, system_agent_folder
+from poise.threads import explained
 from poise.units import SECONDS, quoted
 from poise.wire.control_session import SESSION_TIMEOUT
 from poise.wire.credentials import find, folders
@@ -198,11 +199,15 @@ def _serve(setup: AgentSetup) -> None:
             agent.run()  # with handlers of its own
         except PoiseError:
             raise
-        except Exception:  # a bug in Poise: its log is all that the user has
+        except Exception as error:  # its log is all that the user has
+            why = explained(error)
+            is_bug = why is error
             log.exception(
-                "agent '%s' ended because of a bug in Poise; its containers keep "
+                "agent '%s' ended because of %s; its containers keep "
                 "running for a minute and wait for the next agent: start it again",
                 setup.computer,
+                "a bug in Poise" if is_bug else f"a limit: {why}",
+                exc_info=is_bug,
             )
             raise typer.Exit(BROKEN) from None
 

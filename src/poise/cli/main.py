@@ -53,6 +53,14 @@ def main() -> None:
         if error.filename is None and not is_disk_full:
             raise
         _fail(RunError(f"{error.filename or 'a result'}: {error.strerror}"), 1)
+    except RuntimeError as error:
+        from poise.errors import RunError
+        from poise.threads import explained
+
+        why = explained(error)
+        if not isinstance(why, RunError):
+            raise
+        _fail(why, why.exit_code)
 
 
 def _open_closed() -> None:
@@ -115,8 +123,11 @@ def _say_last(text: str) -> None:
     """
     from poise.session.launch.printer import Printer
 
-    with Printer(sys.stderr.fileno()) as printer:
-        printer.print(text)
+    try:
+        with Printer(sys.stderr.fileno()) as printer:
+            printer.print(text)
+    except RuntimeError:  # no thread is free
+        sys.stderr.write(f"{text}\n")
 
 
 def _say_traceback(

@@ -20,7 +20,7 @@ from poise.errors import PoiseError, TakenOver, last_error
 from poise.manage.agent_connections.statuses import Statuses
 from poise.manage.journal import EntryKind, Journal
 from poise.manage.observe.deviations import Deviation
-from poise.threads import SHOWN_FOR
+from poise.threads import SHOWN_FOR, explained
 from poise.units import counted
 from poise.wire.records.status_records import ComponentStatus, ContainerStatus
 
@@ -331,6 +331,7 @@ class ManagerParts:
     def _note(self, part: str, error: Exception, *, changes: bool) -> None:
         before = self._failures.get(part)
         pause = min(2 * before.pause, LONGEST_PAUSE) if before else FIRST_PAUSE
+        error = explained(error)
         is_bug = not isinstance(error, PoiseError)
         said = f"{type(error).__name__}: {error}" if is_bug else str(error)
         why = "a bug in Poise, please report it" if is_bug else "it is tried again"
