@@ -260,6 +260,10 @@ class FakeAgents:
         reply.set(Refused("no space") if computer in self.full else Accepted())
         return reply
 
+    def keep_checkpoint(self, computer: str, copy: CheckpointCopy) -> str:
+        self.kept.append((computer, copy))
+        return "no space" if computer in self.full else ""
+
     def begin_steps(self, computer: str, steps: MigrationSteps) -> PendingAnswer:
         reply = PendingAnswer()
         reply.set(self.halted.get(computer, StepsDone(steps.number)))

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import pytest
 from msgspec.structs import replace
 
+from poise.errors import RunError
 from poise.manage.adaptation.loop import Adaptation
 from poise.manage.migration.transition_run import start_together
 from poise.manage.shortages.suspension import CALM
 from poise.model.robot import Computer
+from poise.wire.records.request_records import CheckpointCopy
 from tests.manage.adaptation.shortages.test_suspension import BOTH, Robbed, robot_with
 
 
@@ -70,3 +73,48 @@ def test_what_restarts_without_the_state_that_was_to_be_kept_is_said() -> None:
     lost = f"without the state that it had on 'left': {why}"
     assert wrong == f"component 'low' started {lost}"
     assert robbed.run.lost_states["low"].what == wrong
+
+
+def test_what_stays_where_it_was_keeps_its_checkpoints(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Those of what was to restart elsewhere, and did not, counted for ever."""
+    robot = robot_with().with_components(
+        lambda c: replace(c, checkpoint=1.0 if c.name == "low" else 0.0)
+    )
+    robbed = Robbed(robot)
+    run, checkpoints = robbed.run, robbed.run.agents.checkpoints
+    before = run.placed["low"].epoch
+
+    def note(epoch: int, data: bytes | None) -> None:
+        checkpoints.note(
+            CheckpointCopy(component="low", epoch=epoch, data=data, age=0.0)
+        )
+
+    def come_to_nothing(*_: object) -> None:
+        (coming,) = run.desired.coming
+        note(coming.epoch, b"old")  # its agent has it in its folder
+        raise RunError("'left' is reached again")
+
+    note(before, b"old")
+    with monkeypatch.context() as patch:
+        patch.setattr(run, "wait", come_to_nothing)
+        assert not start_together(run, {"low": "left"}, lost=["left"])
+    assert run.placed["low"].epoch == before
+    note(before, b"new")
+    note(before, None)  # it holds still
+    kept = checkpoints.get("low", before)
+    assert kept is not None
+    assert kept.data == b"new"
+    assert checkpoints.get("low", before + 1) is None
+
+
+def test_the_checkpoint_of_what_has_moved_is_forgotten() -> None:
+    robbed = Robbed(robot_with())
+    run, checkpoints = robbed.run, robbed.run.agents.checkpoints
+    before = run.placed["low"].epoch
+    checkpoints.note(
+        CheckpointCopy(component="low", epoch=before, data=b"old", age=0.0)
+    )
+    assert start_together(run, {"low": "left"})
+    assert checkpoints.get("low", before) is None

@@ -36,7 +36,10 @@ def nothing() -> None:
 
 
 class CheckpointCopies:
-    """The last checkpoint of each component, as its agent sent it. Any thread may ask.
+    """The last checkpoints of components, as agents sent them. Any thread may ask.
+
+    Each incarnation has its own: a later one may have to end before it is at work, and
+    the one before goes on.
 
     `clock`: returns the time [s].
     """
@@ -44,28 +47,32 @@ class CheckpointCopies:
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
         self._lock = threading.Lock()
-        self._copies: dict[str, tuple[CheckpointCopy, float]] = {}
+        self._copies: dict[tuple[str, int], tuple[CheckpointCopy, float]] = {}
 
     def note(self, copy: CheckpointCopy) -> None:
         """Keep a copy; one without data says that the one before still holds."""
-        now = self._clock()
+        now, key = self._clock(), (copy.component, copy.epoch)
         with self._lock:
-            before, _ = self._copies.get(copy.component, (copy, now))
-            if before.epoch > copy.epoch:
-                return
             if copy.data is None:
-                if before.data is None or before.epoch != copy.epoch:
+                if key not in self._copies:
                     return
-                copy = structs.replace(copy, data=before.data)
-            self._copies[copy.component] = copy, now
+                copy = structs.replace(copy, data=self._copies[key][0].data)
+            self._copies[key] = copy, now
 
     def get(self, component: str, epoch: int) -> CheckpointCopy | None:
         """Return the last state of an incarnation, with its age now, if it is known."""
         with self._lock:
-            copy, at = self._copies.get(component, (None, 0.0))
-        if copy is None or copy.epoch != epoch:
+            copy, at = self._copies.get((component, epoch), (None, 0.0))
+        if copy is None:
             return None
         return structs.replace(copy, age=copy.age + self._clock() - at)
+
+    def keep_only(self, epochs: Mapping[str, int]) -> None:
+        """Forget those of all other incarnations of these components."""
+        with self._lock:
+            for name, epoch in list(self._copies):
+                if epochs.get(name, epoch) != epoch:
+                    del self._copies[name, epoch]
 
 
 class AgentReports:

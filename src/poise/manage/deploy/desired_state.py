@@ -132,6 +132,8 @@ class DesiredState:
             )
             if changes := difference(before, desired):
                 self.journal.note("desired", why, changes=changes)
+            settled = self.desired.settled()
+            self.agents.checkpoints.keep_only({n: i.epoch for n, i in settled.items()})
         if not tell_later:
             self.reconcile()
 
