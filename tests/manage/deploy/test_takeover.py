@@ -21,7 +21,7 @@ from poise.manage.manager import Manager
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.sample_recording import Recording
 from poise.manage.tasks.task_progress import Saved
-from poise.model.robot import Robot
+from poise.model.robot import Architecture, ComponentEntry, Robot
 from poise.testing import VirtualClock
 from poise.wire.records.deployment_records import Deployment
 from poise.wire.records.migration_records import (
@@ -292,6 +292,36 @@ def test_who_does_not_answer_is_asked_again_whether_a_move_was_committed(
     start_or_take_over(run, by_force=False)
     assert run.placement() == {"grabber": "left", "thinker": "right"}
     assert asked[1:] == [[sender]]
+
+
+def test_a_replacement_that_had_not_begun_counts_for_nothing_on_a_computer_that_is_away(
+    robot: Robot,
+) -> None:
+    """What it was to replace may still be at work there."""
+    other = Architecture(
+        name="instinct",
+        function="thinking",
+        components=(
+            ComponentEntry(name="reflex", implementation="mind:Reflex"),
+            ComponentEntry(name="muscle", implementation="mind:Muscle"),
+        ),
+    )
+    robot = structs.replace(robot, architectures=(*robot.architectures, other))
+    thinker = LEFT[1]
+    ahead = tuple(
+        Incarnation(component=name, computer=computer, epoch=7, goal="inactive")
+        for name, computer in (("reflex", "right"), ("muscle", "left"))
+    )
+    record = Desired(placed={"thinker": thinker}, configured_ahead=ahead, generation=5)
+    agents, layout = FakeAgents("left", "right"), DeploymentLayout(robot, "/run")
+    told = layout.specs((thinker, *ahead), 5, {})["right"]
+    agents.begin_deploy("right", structs.replace(told, desired=encode(record)))
+    agents.gone = {"left"}
+    run = LiveRobot(
+        robot, {"thinker": "left"}, cast("Agents", agents), Journal(":memory:"), "/run"
+    )
+    start_or_take_over(run, by_force=False)
+    assert run.placement() == {"thinker": "left"}
 
 
 def test_who_is_replaced_while_it_asks_about_a_move_leaves_the_robot(

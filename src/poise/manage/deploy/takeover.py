@@ -35,6 +35,7 @@ from poise.manage.migration.transition_plan import plan_transition
 from poise.manage.migration.transition_run import transit
 from poise.manage.shortages.free_room import placed_beside
 from poise.model.check.allowed_computers import allowed_computers
+from poise.model.robot import Robot
 from poise.units import counted
 from poise.wire.heartbeats import LEASES_END_WITHIN
 from poise.wire.records.deployment_records import Deployment
@@ -130,7 +131,7 @@ def _take_over(
     targets = {each.key for each in reported if each.goal == "inactive"}
     is_all = live.claimed >= {computer.name for computer in live.robot.computers}
     if is_half_done(reported, live.robot) or (targets and not is_all):
-        committed = _committed(live, reported, deployments)
+        committed = _committed(live, reported, deployments, record)
     live.doubted = targets - committed
     adoption = adopt(
         reported,
@@ -275,6 +276,7 @@ def _committed(
     live: LiveRobot,
     reported: Sequence[ReportedIncarnation],
     deployments: Mapping[str, Deployment],
+    record: Desired,
 ) -> frozenset[tuple[str, int]]:
     """Return the targets of half-done migrations that count; none goes on then.
 
@@ -283,7 +285,7 @@ def _committed(
     the migration can be rolled back. A target that does not answer may have begun it:
     it is asked again, and ended when it still does not. Unknown is never taken for
     "no": a target on a computer that is gone counts as committed, with all others of
-    its migration.
+    its migration, if that may have begun.
     """
     asked = {
         (computer, container.name)
@@ -292,6 +294,7 @@ def _committed(
     }
     targets = [each for each in reported if each.goal == "inactive"]
     committed = {each.key for each in targets if each.computer not in deployments}
+    committed -= _not_begun(live.robot, record, deployments.keys())
     until = live.clock.now() + WITNESS_LIMIT
     while True:
         unknown: dict[tuple[str, str], str] = {}
@@ -318,6 +321,24 @@ def _committed(
     if asked:
         _end_containers(live, asked, deployments)
     return frozenset(committed & {each.key for each in targets})
+
+
+def _not_begun(
+    robot: Robot, record: Desired, answering: Collection[str]
+) -> set[tuple[str, int]]:
+    """Return what is idle in the newest record, and of no migration that has begun.
+
+    A migration begins once the agents of all its targets know that it does, so it has
+    not while one of those that answer knows of none.
+    """
+    ahead = {each.component: each for each in record.configured_ahead}
+    found = {each.key for each in record.prefetched.values()}
+    for architecture in robot.architectures:
+        names = {component.name for component in architecture.components}
+        targets = [ahead[n] for n in names & ahead.keys() - record.placed.keys()]
+        if any(target.computer in answering for target in targets):
+            found |= {target.key for target in targets}
+    return found
 
 
 def _raise_on_ended_leases(live: LiveRobot, asked: Iterable[tuple[str, str]]) -> None:
