@@ -80,7 +80,11 @@ def open_session(
         cause = re.search(r"[^:\[]+\(os error \d+\)", str(error))
         why = cause.group().strip() if cause else str(error)
         raise RunError(f"cannot listen on {', '.join(listen)}: {why}") from None
-    session.info.declare_link_events_listener(_close_without_waiting, history=True)
+    try:
+        session.info.declare_link_events_listener(_close_without_waiting, history=True)
+    except BaseException:
+        close_session(session)  # this process would not end before its threads
+        raise
     return session
 
 
@@ -90,7 +94,11 @@ def close_session(session: zenoh.Session) -> None:
     zenoh waits for up to 10 s for a connection that it is opening, to a lost computer.
     """
     closing = threads.daemon(session.close, "closing")
-    closing.start()
+    try:
+        closing.start()
+    except RuntimeError:  # no thread is free
+        closing.run()
+        return
     closing.join(_CLOSE_LIMIT)
     if closing.is_alive():
         threads.abandon(closing)

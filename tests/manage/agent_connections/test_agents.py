@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,6 +14,18 @@ import zenoh
 from poise.clock import SystemClock
 from poise.manage.agent_connections.reports import MOST_REFUSED, AgentReports, reading
 from poise.wire.records.status_records import AgentStatus
+from tests.waiting import LONG
+
+UNDECLARED = """
+from poise.clock import SystemClock
+from poise.manage.agent_connections.agents import Agents
+
+class Full(Agents):
+    def subscribe(self, _):
+        raise RuntimeError("can't start new thread")
+
+Full("hello", {}, SystemClock())
+"""
 
 
 class Payload:
@@ -68,3 +82,17 @@ def token(kind: str) -> Any:
     """Return what says that the agent of 'left' came or went."""
     sort = getattr(zenoh.SampleKind, kind)
     return SimpleNamespace(key_expr="poise/robot/alive/left", kind=sort)
+
+
+@pytest.mark.slow
+def test_a_process_ends_that_cannot_hear_agents() -> None:
+    """As where no thread is free; those of zenoh would go on."""
+    done = subprocess.run(
+        [sys.executable, "-c", UNDECLARED],
+        capture_output=True,
+        text=True,
+        timeout=LONG,
+        check=False,
+    )
+    assert done.returncode == 1
+    assert "can't start new thread" in done.stderr

@@ -129,6 +129,16 @@ class Agents(AgentReports):
         self._requests = AgentRequests(
             self._session, prefix, self, clock, self._claims.tokens
         )
+        try:
+            self._declare(prefix, on_sample)
+        except BaseException:
+            self.close()  # this process would not end before the session's threads
+            raise
+
+    def _declare(
+        self, prefix: str, on_sample: Callable[[AgentSample], object] | None
+    ) -> None:
+        """Let zenoh bring what agents send, and tell them of this manager."""
         self._declared = [
             *self.subscribe(self._session),
             self._session.declare_subscriber(
