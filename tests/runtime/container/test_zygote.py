@@ -1,12 +1,16 @@
-"""How long a zygote keeps containers whose agent is gone."""
+"""How a zygote starts, and how long it keeps containers whose agent is gone."""
 
 from __future__ import annotations
 
+import errno
+import os
 import subprocess
 import sys
 
 import pytest
 
+from poise.errors import RunError
+from poise.runtime.container import zygote
 from tests.waiting import LIMIT
 
 pytestmark = pytest.mark.slow
@@ -50,3 +54,12 @@ def test_containers_stay_while_agents_come_back(
         check=False,
     )
     assert done.stdout.strip() == outcome, done.stderr
+
+
+def test_a_limit_of_processes_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fork() -> int:
+        raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+
+    monkeypatch.setattr(os, "fork", fork)
+    with pytest.raises(RunError, match=r"no container can be started .*pids\.max"):
+        zygote.start()

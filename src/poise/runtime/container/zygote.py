@@ -97,7 +97,15 @@ def start(
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     # the zygote has nothing else to do than to wait for the agent
     ours.settimeout(frame.RECORD_LIMIT)
-    pid = os.fork()
+    try:
+        pid = os.fork()
+    except OSError as error:
+        ours.close()
+        theirs.close()
+        raise RunError(
+            f"no container can be started ({error.strerror}): raise the limit of "
+            "processes (`ulimit -u`, TasksMax of a service, pids.max of a cgroup)"
+        ) from error
     if pid == 0:
         ours.close()
         for fd in closing:
