@@ -93,6 +93,21 @@ def test_what_works_moves_when_only_that_makes_room(
     assert not found.missing
 
 
+def test_what_cannot_move_now_makes_no_room(situation: Make, two: Robot) -> None:
+    """First `small` has room for `a`, and then nothing has while `b` stays."""
+    (left, right) = two.computers
+    robot = replace(two, computers=(left, right, replace(right, name="small")))
+    robot = with_memory(robot, {"left": 9, "right": 9, "small": 8}, {"a": 8, "b": 5})
+    now = situation(APART, robot=robot)
+    found = plan_failover(now, {"left"}, stuck={"b"})
+    assert found.placement == {"a": "small"}
+    assert not found.steps
+    robot = with_memory(robot, {"left": 9, "right": 9, "small": 5}, {"a": 8, "b": 5})
+    found = plan_failover(situation(APART, robot=robot), {"left"}, stuck={"b"})
+    assert not found.placement
+    assert found.waits_for_room
+
+
 def with_memory(
     robot: Robot, computers: Mapping[str, float], components: Mapping[str, float]
 ) -> Robot:

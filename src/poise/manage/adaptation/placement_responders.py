@@ -24,6 +24,7 @@ from poise.manage.adaptation.situation import Change, Homes, Situation
 from poise.manage.adaptation.when_to_act import LossSuffered, MoveLimits
 from poise.manage.deploy.desired import Desired
 from poise.manage.deploy.live_robot import LiveRobot
+from poise.manage.migration.coordinator import stuck_components
 from poise.manage.migration.migration_report import TransitionReport, TransitionStep
 from poise.manage.migration.transition_plan import plan_transition
 from poise.manage.migration.transition_run import start_together, transit
@@ -69,7 +70,8 @@ class FailoverResponder:
         self._missing &= stranded
         if stranded <= self._missing and now < self._tries_again:
             return None
-        failover = plan_failover(situation, lost)
+        stuck = stuck_components(self._live)
+        failover = plan_failover(situation, lost, stuck)
         before, self._missing = self._missing, set(failover.missing)
         self._tries_again = (
             now + _ROOM_EVERY if failover.waits_for_room else float("inf")
@@ -110,11 +112,15 @@ def _sentence(placement: Mapping[str, str]) -> str:
     return f"components of a lost computer restart: {where}"
 
 
-def plan_failover(situation: Situation, lost: Collection[str]) -> FailoverPlan:
+def plan_failover(
+    situation: Situation, lost: Collection[str], stuck: Collection[str] = ()
+) -> FailoverPlan:
     """Return where the components of lost computers can run.
 
     All run that memory and devices allow: CPU that is short is shared by priority. What
     works moves when only that makes room; else it is moved later, if that is worth it.
+
+    `stuck`: components that cannot move now, as `stuck_components` has them.
     """
     allowed = allowed_computers(situation.robot)
     pinned = pinned_components(situation.robot)
@@ -124,7 +130,7 @@ def plan_failover(situation: Situation, lost: Collection[str]) -> FailoverPlan:
     for name in situation.placement:
         choices = tuple(sorted(allowed[name] - set(lost)))
         if name in works:
-            stays = name in pinned or works[name] not in choices
+            stays = name in pinned or name in stuck or works[name] not in choices
             homes[name] = (works[name],) if stays else choices
         elif name in pinned:
             missing[name] = pinned[name]

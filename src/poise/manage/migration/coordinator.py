@@ -28,6 +28,7 @@ from poise.manage.migration.migration_report import MigrationReport
 from poise.manage.migration.migration_rounds import MigrationRounds, PlacedStep
 from poise.manage.migration.pending_migration import PREPARE_LIMIT, STALL_LIMIT, Stall
 from poise.manage.observe.deviations import explain
+from poise.model.robot import Connector
 from poise.priority import going_first
 from poise.units import named
 from poise.wire.address import LOST_AFTER
@@ -403,19 +404,45 @@ def lossy_connectors(
 ) -> dict[str, LossyConnector]:
     """Return connectors of components that migrate which cannot be drained now."""
     moving = {incarnation.component: incarnation for incarnation in sources}
-    placed = {**others, **moving}
+    lossy = {}
+    for connector, why, keep in _not_drained(live, {**others, **moving}):
+        if moving.keys().isdisjoint(end.component for end in connector.between):
+            continue
+        if keep is None:
+            raise RunError(f"connector '{connector}' cannot be drained: {why}")
+        lossy[str(connector)] = LossyConnector(why, keep)
+    return lossy
+
+
+def stuck_components(live: LiveRobot) -> set[str]:
+    """Return the components that cannot move now: what is sent to them would be lost.
+
+    And those that send it.
+    """
+    return {
+        end.component
+        for connector, _, keep in _not_drained(live, live.placed)
+        if keep is None
+        for end in connector.between
+    }
+
+
+def _not_drained(
+    live: LiveRobot, placed: Mapping[str, Incarnation]
+) -> Iterator[tuple[Connector, str, int | None]]:
+    """Yield the connectors that cannot be drained now, and why.
+
+    And how many messages the subscriber keeps; None: none may be lost, or an end hangs.
+    """
     unreached = live.unreached_connectors(placed)
     keeps = keeping_ports(live.agents.statuses())
-    lossy = {}
-    for connector in live.layout.connectors_at(moving, placed):
+    for connector in live.layout.connectors(placed):
         if (why := unreached.get(str(connector))) is None:
             continue
-        ends = [placed[end.component] for end in connector.between]
         subscriber = connector.between[1]
         keep = keeps.get((subscriber.component, subscriber.port))
         if keep is None:
             why += f"; '{subscriber}' has no `keep`, so nothing may be lost"
-        if keep is None or live.unresponsive(ends):
-            raise RunError(f"connector '{connector}' cannot be drained: {why}")
-        lossy[str(connector)] = LossyConnector(why, keep)
-    return lossy
+        elif live.unresponsive(placed[end.component] for end in connector.between):
+            keep = None
+        yield connector, why, keep
