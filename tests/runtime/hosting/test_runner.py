@@ -398,6 +398,25 @@ def test_measures_are_summed_up(running: Fixture) -> None:
     assert (summary.count, summary.mean, summary.maximum) == (3, 3.0, 6.0)
 
 
+def test_measures_whose_names_are_ever_others_do_not_fill_the_memory(
+    running: Fixture, caplog: pytest.LogCaptureFixture
+) -> None:
+    class Measuring(Component):
+        def configure(self) -> None:
+            for number in range(300):
+                self.measure(f"object {number}", 1.0)
+                self.measure("object 0", 1.0)
+
+    runner = running.start(Measuring)
+    runner.aim("inactive")
+    runner.life_cycle.wait_state({"inactive"}, LIMIT)
+    measures = runner.status().measures
+    assert len(measures) == 100
+    assert measures["object 0"].count == 301
+    (said,) = caplog.messages
+    assert said.startswith("measure 'object 100' of component 'one' is not counted")
+
+
 def test_a_pause_that_comes_after_the_move_is_refused(
     running: Fixture,
 ) -> None:

@@ -233,7 +233,8 @@ class Component:
     def measure(self, name: str, value: float) -> None:
         """Count `value` under `name`; count, mean, maximum and median are reported.
 
-        What is no number (NaN) counts as 0.
+        What is no number (NaN) counts as 0. A component has at most 100 names; the log
+        says so when one is not counted.
 
         Raises
         ------

@@ -47,6 +47,8 @@ _PATIENCE = 1.0
 """How long a timer or message waits to enter before it looks at the goal [s]."""
 _BUSY_LIMIT = 60.0
 """A component to be deactivated fails when others stay inside for this time [s]."""
+_MOST_MEASURES = 100
+"""A component has so many measures: all go with each report."""
 _FENCED = 0.02
 """A component whose lease has ended looks so often whether it was extended [s]."""
 
@@ -112,6 +114,7 @@ class Runner:
         self._handler: tuple[str, float] | None = None
         self._hook: tuple[str, float] | None = None
         self._measures: dict[str, SignedHistogram] = {}
+        self._has_warned_of_measures = False
         self._work_of: dict[str, Histogram] = {}
         self._errors = Errors(spec.name)
         self._action = spec
@@ -249,7 +252,20 @@ class Runner:
         return tuple(port.name for port in self.ports.values() if port.kind == kind)
 
     def _measure(self, name: str, value: float) -> None:
-        self._measures.setdefault(name, SignedHistogram()).add(value)
+        known = self._measures.get(name)
+        if known is None and len(self._measures) < _MOST_MEASURES:
+            known = self._measures.setdefault(name, SignedHistogram())
+        if known is not None:
+            known.add(value)
+        elif not self._has_warned_of_measures:
+            self._has_warned_of_measures = True
+            log.warning(
+                "measure '%s' of component '%s' is not counted, nor are further ones: "
+                "it has %d others",
+                name,
+                self.spec.name,
+                _MOST_MEASURES,
+            )
 
     def _count_process(self, pid: int) -> None:
         if pid:
