@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import signal
 import subprocess
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -76,6 +77,19 @@ def agent(computer: str, robot: str, port: int, *options: str) -> Iterator[IO[st
     finally:
         process.terminate()
         process.communicate(timeout=LONG)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+def test_an_agent_that_is_told_to_end_exits_with_0(number: signal.Signals) -> None:
+    argv = [*POISE, "agent", "left", "--robot", "ended", "--address", "127.0.0.1"]
+    with subprocess.Popen(
+        [*argv, f"--port={free_port()}"], stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline()
+        process.send_signal(number)
+        assert process.wait(LONG) == 0
 
 
 @pytest.mark.slow
