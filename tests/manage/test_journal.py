@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import os
 from collections.abc import Callable
@@ -107,6 +108,16 @@ def test_its_files_rotate_and_are_bounded(
     kept = read_journal(path)
     assert [e.number for e in kept] == list(range(101 - len(kept), 101))
     assert len(kept) > 3 * (FILES - 1)
+
+
+def test_each_line_is_json_though_managers_follow_each_other(tmp_path: Path) -> None:
+    path = tmp_path / "journal.jsonl"
+    for what in ("first", "second"):
+        journal = Journal(path)
+        journal.note("seen", what)
+        journal.close()
+    lines = path.read_text().splitlines()
+    assert [json.loads(line)["what"] for line in lines] == ["first", "second"]
 
 
 @pytest.mark.parametrize("left", [b'{"at":1.0,"kind":"se', b'{"at"\n\xff\n'])

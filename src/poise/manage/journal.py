@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import threading
 import time
 from collections import deque
@@ -105,7 +106,8 @@ class Journal:
                 largest=LARGEST,
                 files=FILES,
             )
-            self.file.add(b"\n")  # a manager that was killed may have left half a line
+            if _ends_amid_a_line(Path(path)):  # its manager was killed
+                self.file.add(b"\n")
             self.file.start()
 
     @property
@@ -253,6 +255,15 @@ def _parsed(line: bytes) -> JournalEntry | None:
         return _decode(line)
     except (msgspec.DecodeError, UnicodeDecodeError):
         return None
+
+
+def _ends_amid_a_line(path: Path) -> bool:
+    try:
+        with path.open("rb") as file:
+            file.seek(-1, os.SEEK_END)
+            return file.read() != b"\n"
+    except OSError:  # it is empty, or cannot be read
+        return False
 
 
 def _last_number(path: Path) -> int:
