@@ -32,7 +32,10 @@ def _of_plain(plain: socket.socket) -> str:
     except TimeoutError:
         wants_keys = False
     if not wants_keys:
-        return ""
+        return (
+            "something accepts connections there, but does not answer as an agent of "
+            "this robot: does another program have its port, or does the agent hang?"
+        )
     return (
         "it wants keys of this robot, and there are none here: `poise keys issue "
         "ROBOT NAME --role manager` makes them"
