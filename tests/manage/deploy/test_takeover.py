@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from typing import cast
+from typing import Any, cast
 
 import pytest
 from msgspec import structs
@@ -292,6 +292,23 @@ def test_who_does_not_answer_is_asked_again_whether_a_move_was_committed(
     start_or_take_over(run, by_force=False)
     assert run.placement() == {"grabber": "left", "thinker": "right"}
     assert asked[1:] == [[sender]]
+
+
+def test_who_is_replaced_while_it_starts_what_is_missing_leaves_the_robot(
+    robot: Robot,
+) -> None:
+    """What obeys the other one refuses this one: it would wait for it in vain."""
+    run, agents, _ = run_of(robot, LEFT[0])
+    bring = run.bring
+
+    def bring_late(*args: Any) -> None:
+        agents.later = LATER
+        bring(*args)
+
+    run.bring = bring_late  # type: ignore[method-assign]
+    with pytest.raises(TakenOver, match=r"bob on desk .* has taken over the robot"):
+        start_or_take_over(run, by_force=False)
+    assert run.is_left
 
 
 def test_a_replacement_that_had_not_begun_counts_for_nothing_on_a_computer_that_is_away(

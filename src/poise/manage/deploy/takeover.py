@@ -9,7 +9,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from msgspec import structs
 
 from poise.decoding import from_msgpack
-from poise.errors import PoiseError, RobotError, RunError
+from poise.errors import PoiseError, RobotError, RunError, TakenOver
 from poise.manage.adaptation.situation import Situation
 from poise.manage.agent_connections.reports import LOOK_EVERY
 from poise.manage.deploy.adoption import (
@@ -99,9 +99,10 @@ def start_or_take_over(
     fenced = {name for name, status in statuses.items() if status.cut_off}
     held = components_to_hold(live.robot, reported, live.claimed, fenced)
     try:
-        _take_over(
-            live, deployments, unclaimed, reported, held, record, is_rule=is_rule
-        )
+        with _giving_way(live):
+            _take_over(
+                live, deployments, unclaimed, reported, held, record, is_rule=is_rule
+            )
     except Exception:
         live.leave()  # no error of a new manager ends a robot that is at work
         raise
@@ -159,6 +160,27 @@ def _take_over(
     _start(live, adoption, reported, starts)
     if is_rule:
         _move(live, wanted)
+
+
+@contextlib.contextmanager
+def _giving_way(live: LiveRobot) -> Iterator[None]:
+    """End each wait when there is another manager, for agents that obey that one."""
+    check = live.check
+
+    def check_both() -> None:
+        check()
+        _raise_on_successor(live)
+
+    live.check = check_both
+    try:
+        yield
+    finally:
+        live.check = check
+
+
+def _raise_on_successor(live: LiveRobot) -> None:
+    if successor := live.agents.successor():
+        raise TakenOver(f"{successor} has taken over the robot meanwhile")
 
 
 def newest_record(deployments: Iterable[Deployment]) -> Desired:
@@ -303,8 +325,7 @@ def _committed(
                 unknown[where] = outcome.reason
             elif outcome.is_committed or not committed.isdisjoint(outcome.targets):
                 committed |= set(outcome.targets)
-        if successor := live.agents.successor():  # what was found is out of date
-            raise RunError(f"{successor} has taken over the robot meanwhile")
+        _raise_on_successor(live)  # what was found is out of date
         asked = set(unknown)
         doubted = [each for each in targets if each.key not in committed]
         if not asked or not doubted or live.clock.now() >= until:
@@ -434,6 +455,8 @@ def _start(
         live.bring(new, ACTIVE_LIMIT, "activate missing components")
         if new:
             live.journal.note("done", f"started {counted(len(new), 'component')}")
+    except TakenOver:
+        raise
     except RunError as error:
         live.journal.note("failed", f"some missing components did not start: {error}")
     live.commit(live.desired.placing(starts), "missing components are placed")
