@@ -295,7 +295,7 @@ def test_who_does_not_answer_is_asked_again_whether_a_move_was_committed(
 
 
 def test_who_is_replaced_while_it_starts_what_is_missing_leaves_the_robot(
-    robot: Robot,
+    robot: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What obeys the other one refuses this one: it would wait for it in vain."""
     run, agents, _ = run_of(robot, LEFT[0])
@@ -305,7 +305,7 @@ def test_who_is_replaced_while_it_starts_what_is_missing_leaves_the_robot(
         agents.later = LATER
         bring(*args)
 
-    run.bring = bring_late  # type: ignore[method-assign]
+    monkeypatch.setattr(run, "bring", bring_late)
     with pytest.raises(TakenOver, match=r"bob on desk .* has taken over the robot"):
         start_or_take_over(run, by_force=False)
     assert run.is_left
