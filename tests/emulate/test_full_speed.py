@@ -33,6 +33,13 @@ def test_each_cpu_has_one_and_afterwards_none() -> None:
     assert not spinners()
 
 
+def test_ctrl_c_in_a_terminal_does_not_reach_them() -> None:
+    """Each would write a traceback; the command ends them itself."""
+    with full_speed():
+        wait_long(lambda: len(spinners()) == len(os.sched_getaffinity(0)))
+        assert os.getpgrp() not in map(os.getpgid, spinners())
+
+
 def test_none_is_left_by_a_process_that_was_killed() -> None:
     code = (
         "import time\nfrom poise.emulate import full_speed\n"

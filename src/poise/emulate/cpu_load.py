@@ -51,7 +51,11 @@ def full_speed() -> Iterator[None]:
         for cpu in sorted(os.sched_getaffinity(0)):
             argv = [sys.executable, "-I", "-S", "-c", _SPIN, str(cpu), str(os.getpid())]
             process = stack.enter_context(
-                subprocess.Popen(argv, stdin=subprocess.DEVNULL)  # noqa: S603, Python
+                subprocess.Popen(  # noqa: S603, Python
+                    argv,
+                    stdin=subprocess.DEVNULL,
+                    start_new_session=True,  # Ctrl-C is for the command
+                )
             )
             stack.callback(process.kill)
         yield
