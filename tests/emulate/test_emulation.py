@@ -226,6 +226,17 @@ def test_missing_tool_is_said_and_done_without(
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("needs_namespaces")
+def test_tools_in_folders_for_root_are_found(
+    two_computers: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Others who may make namespaces need not have these in PATH."""
+    monkeypatch.setenv("PATH", "/usr/bin:/bin")
+    with Emulation(two_computers, tmp_path) as emulation:
+        assert not any("not installed" in sentence for sentence in emulation.without)
+
+
+@pytest.mark.slow
 @pytest.mark.usefixtures("needs_limits")
 def test_computers_that_share_a_cpu_and_ask_for_too_much_are_starved(
     tmp_path: Path,

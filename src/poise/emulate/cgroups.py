@@ -11,7 +11,7 @@ from pathlib import Path
 
 from msgspec import Struct
 
-from poise.emulate.emulated_network import NAMESPACES
+from poise.emulate.emulated_network import NAMESPACES, find_tool
 from poise.emulate.limits import Limits, Usage, starved_time
 from poise.emulate.processes import marked, stop
 from poise.kernel_counters import PREPARED, Mount, group_cpu, mounts, process_cpu, table
@@ -365,7 +365,12 @@ def probe_host() -> Probe:
     return Probe(
         cpus=tuple(sorted(os.sched_getaffinity(0))),
         groups=_groups(mounts()),
-        tools=frozenset(filter(shutil.which, ("ip", "tc", "nsenter", "taskset"))),
+        tools=frozenset(
+            [
+                *filter(find_tool, ("ip", "tc")),
+                *filter(shutil.which, ("nsenter", "taskset")),
+            ]
+        ),
         may_make_namespaces=_may_administer() and os.access(NAMESPACES.parent, os.W_OK),
     )
 

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import ipaddress
 import math
+import os
+import shutil
 import socket
 import struct
 import subprocess
@@ -289,12 +291,18 @@ def _link_class(target: int, shape: Shape, *, delays: bool) -> list[str]:
     ]
 
 
+def find_tool(name: str) -> str | None:
+    """Return where ``ip`` or ``tc`` is: only root has /usr/sbin in PATH on Debian."""
+    path = os.environ.get("PATH", os.defpath)
+    return shutil.which(name, path=f"{path}:/usr/sbin:/sbin")
+
+
 def _run(tool: str, namespace: str, commands: Sequence[str]) -> None:
     within = ["-n", namespace] if namespace else []
     where = f" in namespace {namespace}" if namespace else ""
     try:
         done = subprocess.run(  # noqa: S603 - no shell; the names are our own
-            [tool, *within, "-batch", "-"],
+            [find_tool(tool) or tool, *within, "-batch", "-"],
             input="\n".join(commands) + "\n",
             capture_output=True,
             text=True,
