@@ -135,7 +135,8 @@ def _recorded(robot: Robot, recording: str) -> dict[str, PlayedPort]:
     if not found:
         raise UsageError(
             f"workload: recording {recording} has no messages from one "
-            f"architecture of '{robot.name}' to another"
+            f"architecture of '{robot.name}' to another: `poise run --record` records "
+            "these, and `poise up --record` does not"
         )
     return found
 
