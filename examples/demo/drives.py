@@ -98,10 +98,12 @@ def fill(robot: FittedRobot, console: Console, check: Check) -> FittedRobot:
     """Return the robot with computers that Poise's placement fills to `FULL`.
 
     How much of them the components need is measured on this machine. So they are as
-    full on any machine.
+    full on any machine. The first to emulate them, it says what that goes without.
     """
     placed = robot.placed()
     report = _serve(robot.emulated, placed, console, check, seconds=MEASURED)
+    for sentence in report.without:
+        console.print(f"  [yellow]without[/] {sentence}")
     return robot.quicker(max(report.cpu_share.values()) / FULL)
 
 

@@ -10,8 +10,11 @@ from pathlib import Path
 
 import pytest
 from msgspec.structs import replace
+from rich.console import Console
 
+from examples.demo import drives
 from examples.demo.drives import find_trouble, too_busy
+from poise.session import nothing
 from poise.session.run_records import ComponentReport
 from poise.session.run_report import RunReport
 from poise.wire.records.status_records import Summary, TimerStatus
@@ -112,3 +115,16 @@ def test_an_invalid_drive_says_that_the_machine_is_too_busy() -> None:
     auto = drive("auto", missed=0, is_at_goal=True)
     assert too_busy((auto, auto)) == ""
     assert too_busy((auto, replace(auto, invalid="starved"))) == "starved"
+
+
+@pytest.mark.slow
+def test_what_this_machine_cannot_emulate_is_said_before_the_drives(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def measure(*_: object, **__: object) -> RunReport:
+        measured = drive("auto", missed=0, is_at_goal=True)
+        return replace(measured, cpu_share={"main": 0.5}, without=("memory limit",))
+
+    monkeypatch.setattr(drives, "_serve", measure)
+    drives.fill(drives.load_trot(CLONE / "examples"), Console(), nothing)
+    assert "without memory limit\n" in capsys.readouterr().out
