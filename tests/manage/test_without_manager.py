@@ -54,6 +54,14 @@ def test_a_robot_of_which_nothing_runs_is_not_there() -> None:
     assert status_by_agents(AGENTS, idle, NOW) is None
 
 
+def test_one_whose_next_leader_starts_everything_is_there() -> None:
+    eye = agent("eye", 80.0)
+    waits = replace(eye, is_at_work=True, has_standbys=True)  # all ran on main
+    assert status_by_agents(AGENTS, {"eye": waits}, NOW) is not None
+    stopped = replace(eye, is_at_work=False, has_standbys=True)
+    assert status_by_agents(AGENTS, {"eye": stopped}, NOW) is None
+
+
 def test_one_that_is_managed_from_elsewhere_is_not_called_without_a_manager() -> None:
     statuses = {
         "main": agent("main", 0.0, a="active"),

@@ -88,7 +88,9 @@ def status_by_agents(
     `now`: when they were asked [s since 1970].
     """
     managers = [s.manager for s in statuses.values() if s.manager is not None]
-    if not managers or not any(status.containers for status in statuses.values()):
+    agents = statuses.values()
+    runs = any(s.containers or (s.has_standbys and s.is_at_work) for s in agents)
+    if not managers or not runs:
         return None
     # of agents that were out of the last manager's reach, an earlier one
     manager = max(managers, key=lambda other: other.since)
