@@ -77,10 +77,22 @@ def _untold(robot: Robot, status: RobotStatus) -> Iterator[tuple[str, float]]:
         # the sentence for a computer that is out of reach names what ran there
         if state != "active" and f"'{at}'" not in said and name not in said:
             yield f"nothing says that '{name}' on '{at}' is {state}", _WITHIN
-    for connector in connectors_of(status.computers):
-        if connector.end == "source" and not connector.ready:
+    for name, ends in _not_joined(status):
+        works = all(states.get((status.placement[n], n)) == "active" for n in ends)
+        if works and not any(end in said for end in ends):
+            yield f"nothing says that '{name}' is not joined", _JOINED
+
+
+def _not_joined(status: RobotStatus) -> Iterator[tuple[str, list[str]]]:
+    """Yield connectors of which the source says so, and the components they join.
+
+    Not of one that has been started elsewhere since its computer was lost.
+    """
+    for at, report in status.computers.items():
+        here = {name for name, where in status.placement.items() if where == at}
+        for connector in connectors_of({at: report}):
             ends = [n for n in status.placement if f"{n}." in connector.name]
-            places = [(status.placement[name], name) for name in ends]
-            works = all(states.get(place) == "active" for place in places)
-            if works and len(ends) > 1 and not any(name in said for name in ends):
-                yield f"nothing says that '{connector.name}' is not joined", _JOINED
+            source = connector.name.partition(".")[0]
+            is_source = connector.end == "source" and source in here
+            if is_source and not connector.ready and len(ends) > 1:
+                yield connector.name, ends
