@@ -94,14 +94,16 @@ def test_new_incarnations_differ_from_any_that_another_computer_may_run(
     assert run.next_epoch("grabber") == 1
 
 
-def serving_tasks(robot: Robot) -> LiveRobot:
-    """Return a run of tasks that goes on, of which only `grabber` was found."""
+def serving_tasks(robot: Robot, *ended: str) -> LiveRobot:
+    """Return a run of tasks that goes on, of which only `grabber` was found.
+
+    `ended`: components that ran before.
+    """
     run, agents, _ = run_of(robot)
+    record = Desired(tasks=b"some", ended=dict.fromkeys(ended, 3))
     layout = DeploymentLayout(robot, "/run", code_version=version_of)
     for computer, told in layout.specs(LEFT[:1], 5, {}).items():
-        agents.begin_deploy(
-            computer, structs.replace(told, desired=encode(Desired(tasks=b"some")))
-        )
+        agents.begin_deploy(computer, structs.replace(told, desired=encode(record)))
     start_or_take_over(run, by_force=False)
     return run
 
@@ -109,7 +111,13 @@ def serving_tasks(robot: Robot) -> LiveRobot:
 def test_starts_what_an_architecture_lacks_that_serves_a_task(robot: Robot) -> None:
     eye, *_ = robot.architectures
     names = {component.name for component in eye.components}
-    assert serving_tasks(robot).placement().keys() == names > {"grabber"}
+    assert serving_tasks(robot, "thinker").placement().keys() == names > {"grabber"}
+
+
+def test_starts_what_is_new_in_the_robot_file(robot: Robot) -> None:
+    """No task asks for it, for its action has begun; what ended does not come back."""
+    assert serving_tasks(robot).placement()["thinker"] == "right"
+    assert "thinker" not in serving_tasks(robot, "thinker").placement()
 
 
 def test_parameters_of_what_does_not_run_are_kept_by_each_next_manager(
@@ -118,7 +126,8 @@ def test_parameters_of_what_does_not_run_are_kept_by_each_next_manager(
     parameters = {"thinker": {"gain": 2}}
     run, agents, _ = run_of(robot)
     layout = DeploymentLayout(robot, "/run", code_version=version_of)
-    record = encode(Desired(tasks=b"some", parameters=parameters))
+    ended = {"thinker": 3}
+    record = encode(Desired(tasks=b"some", parameters=parameters, ended=ended))
     for computer, told in layout.specs(LEFT[:1], 5, {}).items():
         agents.begin_deploy(computer, structs.replace(told, desired=record))
     start_or_take_over(run, by_force=False)
@@ -158,7 +167,7 @@ def _with_class(robot: Robot, implementation: str) -> Robot:
 def test_starts_layers_that_never_stop(robot: Robot) -> None:
     eye, *others = robot.architectures
     fixed = tuple(structs.replace(each, layer="reactive") for each in others)
-    run = serving_tasks(structs.replace(robot, architectures=(eye, *fixed)))
+    run = serving_tasks(structs.replace(robot, architectures=(eye, *fixed)), "thinker")
     assert run.placement()["thinker"] == "right"
 
 

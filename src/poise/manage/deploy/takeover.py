@@ -127,7 +127,7 @@ def _take_over(
         wanted = record.placement()
     elif record.tasks and not is_rule:
         # the tasks go on where they are, and say themselves what they need
-        wanted = _at_work(live, reported)
+        wanted = _at_work(live, reported, record)
     committed = frozenset[tuple[str, int]]()
     targets = {each.key for each in reported if each.goal == "inactive"}
     is_all = live.claimed >= {computer.name for computer in live.robot.computers}
@@ -258,21 +258,31 @@ def _recorded(live: LiveRobot, record: Desired) -> list[ReportedIncarnation]:
 
 
 def _at_work(
-    live: LiveRobot, reported: Sequence[ReportedIncarnation]
+    live: LiveRobot, reported: Sequence[ReportedIncarnation], record: Desired
 ) -> dict[str, str]:
     """Return what works, with what its architectures lack, and layers that never stop.
 
-    What works stays where it is, if it still may. What is lacking may be at work on a
-    computer that is out of reach: it counts as there, if it is allowed there, so that
-    it is not started twice. Else it goes where there is room. What is only idle ends.
+    And what is planned of which nothing ran yet: it is new in the robot file, or in the
+    task. What works stays where it is, if it still may. What is lacking may be at work
+    on a computer that is out of reach: it counts as there, if it is allowed there, so
+    that it is not started twice. Else it goes where there is room. What is only idle
+    ends.
     """
     allowed, wanted = allowed_computers(live.robot), live.placement()
     away = {c.name for c in live.robot.computers} - live.claimed
     works = {e.name: e.computer for e in reported if e.goal != "inactive"}
+    ran = {*works, *record.placed, *record.prefetched, *record.ended}
+    served = {
+        architecture.function
+        for architecture in live.robot.architectures
+        if not works.keys().isdisjoint(c.name for c in architecture.components)
+    }
     homes: dict[str, tuple[str, ...]] = {}
     for architecture in live.robot.architectures:
         names = [component.name for component in architecture.components]
-        stays = architecture.layer != "sequencing" and wanted.keys() >= set(names)
+        is_new = ran.isdisjoint(names) and architecture.function not in served
+        stays = architecture.layer != "sequencing" or is_new
+        stays = stays and wanted.keys() >= set(names)
         if not stays and works.keys().isdisjoint(names):
             continue
         for name in names:
