@@ -32,6 +32,7 @@ from poise.manage.adaptation.situation import Situation
 from poise.manage.deploy.desired import Desired, Incarnation
 from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.migration import transition_run
+from poise.manage.migration.coordinator import stuck_components
 from poise.manage.migration.migration_report import TransitionReport, TransitionStep
 from poise.manage.observe.estimates import DemandEstimate, Load
 from poise.manage.shortages.suspension import Suspensions
@@ -132,6 +133,10 @@ class Loop:
         """Restart components elsewhere."""
         self._move(placement)
         return True
+
+    def stuck_components(self, _: LiveRobot) -> set[str]:
+        """Return none: these components have no connectors."""
+        return set()
 
     def _move(self, placement: Mapping[str, str]) -> None:
         self._moves += [
@@ -257,15 +262,16 @@ def _robot(trace: Trace) -> Robot:
 
 @cache
 def _transitions() -> Sequence[tuple[ModuleType, str]]:
-    """Return where Poise's adaptation moves components of a real robot."""
+    """Return where Poise's adaptation asks about a real robot, and moves components."""
+    real = (transition_run.transit, transition_run.start_together, stuck_components)
     return [
         (module, name)
         for module in [*sys.modules.values()]
         if module.__name__.startswith(
             ("poise.manage.adaptation.", "poise.manage.shortages.")
         )
-        for name in ("transit", "start_together")
-        if vars(module).get(name) is getattr(transition_run, name)
+        for function in real
+        if vars(module).get(name := function.__name__) is function
     ]
 
 

@@ -106,8 +106,8 @@ class Journal:
                 largest=LARGEST,
                 files=FILES,
             )
-            if _ends_amid_a_line(Path(path)):  # its manager was killed
-                self.file.add(b"\n")
+            # after a manager that was killed; also what tells whether it can be written
+            self.file.add(b"\n" if _ends_amid_a_line(Path(path)) else b"")
             self.file.start()
 
     @property
