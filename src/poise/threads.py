@@ -14,6 +14,9 @@ from poise.errors import RunError
 
 log = logging.getLogger(__name__)
 
+PROCESS_LIMIT = (
+    "the limit of processes (`ulimit -u`, TasksMax of a service, pids.max of a cgroup)"
+)
 SHOWN_FOR = 60.0
 """A failure is shown for this time [s]."""
 
@@ -65,8 +68,8 @@ def explained(error: Exception) -> Exception:
     if not isinstance(error, RuntimeError) or str(error) != "can't start new thread":
         return error
     return RunError(
-        "no thread can be started: raise the limit of processes (`ulimit -u`, TasksMax "
-        "of a service, pids.max of a cgroup), or that of memory (`ulimit -v`)"
+        f"no thread can be started: raise {PROCESS_LIMIT}, or that of memory "
+        "(`ulimit -v`)"
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import time
 from pathlib import Path
 
 import pytest
@@ -40,6 +41,17 @@ def test_a_component_moves_and_the_report_says_where_it_ran_last(
 
     report = poise.run(robot, seconds=2.0, meanwhile=move_once)
     assert report.component("printer").computer == moved[0]
+
+
+def test_what_it_raises_as_the_run_ends_is_raised(robot: poise.Robot) -> None:
+    """It waits for longer than the run lasts."""
+
+    def fail(_: poise.Running, __: float) -> None:
+        time.sleep(3.0)
+        raise LookupError("no cup is there")
+
+    with pytest.raises(LookupError, match="no cup is there"):
+        poise.run(robot, seconds=1.0, meanwhile=fail)
 
 
 def test_what_it_raises_ends_the_run(robot: poise.Robot) -> None:

@@ -87,8 +87,8 @@ def run(  # noqa: PLR0913 - each is a choice of the user
     meanwhile
         Called a few times a second while the task runs, on a thread of its own, with
         the robot and the time so far [s]: it may ask for the status, move components,
-        start tasks. An exception ends the run. Where other computers of a robot with
-        this name run here, it is not called.
+        start tasks. An exception ends the run. It is not called where another robot of
+        this name runs here.
     check
         Called several times a second; may raise `KeyboardInterrupt`.
 
@@ -200,7 +200,7 @@ class _Beside:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
         self._is_over.set()
         if not self._thread.ident:
             return
@@ -210,14 +210,18 @@ class _Beside:
                 f"`meanwhile` did not return within {_MEANWHILE_LIMIT:g} s after the "
                 "run: it is called again and again, and should not wait for long"
             )
+        # once the run is over, what it asks of the robot is refused
+        if error is None and not isinstance(self._error, PoiseError):
+            self.check()
 
     def begin(self) -> None:
         """Begin: the task runs now."""
         self._thread.start()
 
     def end(self) -> None:
-        """Begin no further call."""
+        """Begin no further call; raise what was raised."""
         self._is_over.set()
+        self.check()
 
     def check(self) -> None:
         """Raise what was raised."""

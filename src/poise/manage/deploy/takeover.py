@@ -505,5 +505,7 @@ def _move(live: LiveRobot, wanted: Mapping[str, str]) -> None:
         steps = plan_transition(live.robot, live.placement(), wanted)
         if steps:
             transit(live, steps)
+    except TakenOver:
+        raise
     except PoiseError as error:
         live.journal.note("failed", f"the placement is unchanged: {error}")

@@ -20,6 +20,7 @@ from pathlib import Path
 
 from msgspec import Struct
 
+from poise import threads
 from poise.errors import RunError, Unavailable
 from poise.priority import be_nice
 from poise.runtime.container.account import Account
@@ -103,8 +104,8 @@ def start(
         ours.close()
         theirs.close()
         raise RunError(
-            f"no container can be started ({error.strerror}): raise the limit of "
-            "processes (`ulimit -u`, TasksMax of a service, pids.max of a cgroup)"
+            f"no container can be started ({error.strerror}): raise "
+            f"{threads.PROCESS_LIMIT}"
         ) from error
     if pid == 0:
         ours.close()

@@ -48,7 +48,7 @@ _PATIENCE = 1.0
 _BUSY_LIMIT = 60.0
 """A component to be deactivated fails when others stay inside for this time [s]."""
 _MOST_MEASURES = 100
-"""A component has so many measures: all go with each report."""
+"""A component may have this many measures, since each report has all of them."""
 _FENCED = 0.02
 """A component whose lease has ended looks so often whether it was extended [s]."""
 

@@ -56,8 +56,8 @@ _PAUSE = 0.01
 _PATIENCE = 1.0
 """Once its sender left a connection, this silence ends it: the sender was lost [s]."""
 _RESENDING = 5.0
-"""The same if a new connection comes from the same computer, which is not lost: after a
-cut, TCP sends again with pauses that double, of as long as the cut at the most [s]."""
+"""The same where the new connection comes from the same computer, which is not lost:
+TCP doubles its pause at each retransmission, and may resume late after a cut [s]."""
 _MOST_CONNECTIONS = 256
 """Connections that a container serves at a time; others are closed at once."""
 
