@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 
 def run_process() -> None:
     """Run the command line as all that this process does."""
-    from poise.threads import is_any_abandoned
-
     try:
         main()
     except SystemExit as ended:
+        from poise.threads import is_any_abandoned  # not before `end_at_once`
+
         if is_any_abandoned() and isinstance(ended.code, int | None):
             os._exit(ended.code or 0)  # the interpreter would wait for it
         raise
