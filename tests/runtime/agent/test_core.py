@@ -147,6 +147,7 @@ class Disk:
 
     def __init__(self) -> None:
         self.kept: AgentState | None = None
+        self.removed: set[tuple[str, int]] = set()
 
     def keep(self, state: AgentState) -> None:
         self.kept = state
@@ -159,6 +160,9 @@ class Disk:
 
     def keep_only(self, wanted: Deployment) -> None:
         pass
+
+    def remove_checkpoints(self, of: Collection[tuple[str, int]]) -> None:
+        self.removed.update(of)
 
     def resend(self) -> None:
         pass
@@ -317,6 +321,24 @@ def test_a_report_that_only_counts_on_waits_for_the_next_status() -> None:
     assert world.core.moment() <= world.clock.now()
     world.core.tick()
     assert world.disk.kept is not None
+
+
+def test_what_a_container_kept_while_it_ended_goes_with_it() -> None:
+    world = World()
+    world.deploy()
+    eye = ComponentSpec(name="eye", epoch=3, goal="active")
+    see = ContainerSpec(name="see", folder="", components=(eye,), connectors=())
+    world.ask(Deployment(generation=2, containers=(see,)))
+    world.core.tick()
+    world.core.on_born("see", 100)
+    world.core.on_ended(100, EXIT_1)  # it starts again, and goes on from there
+    world.run(1.0)
+    world.core.on_born("see", 101)
+    world.ask(Deployment(generation=3, containers=()))
+    world.core.tick()
+    assert not world.disk.removed
+    world.core.on_ended(101, EXIT_1)
+    assert world.disk.removed == {("eye", 3)}
 
 
 def test_what_a_container_said_before_it_ended_is_in_its_fault() -> None:

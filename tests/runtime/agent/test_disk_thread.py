@@ -23,6 +23,7 @@ from poise.wire.records.request_records import (
     Answer,
     CheckpointCopy,
     Refused,
+    checkpoint_path,
     set_age,
 )
 from tests.waiting import wait_until
@@ -120,6 +121,18 @@ def test_a_checkpoint_is_as_old_as_it_was_and_is_sent(
     assert age is not None
     assert 7.0 <= age < 30.0
     assert stalled.disk.checkpoint_age("map", 2) is None
+
+
+def test_only_the_checkpoints_of_what_ended_are_removed(
+    stalled: Stalled, tmp_path: Path
+) -> None:
+    stalled.answers.set()
+    for component, epoch in [("map", 1), ("map", 2), ("plan", 1)]:
+        checkpoint_path(tmp_path, component, epoch).write_bytes(b"state")
+    stalled.disk.remove_checkpoints({("map", 1), ("gone", 4)})
+    wait_until(lambda: not checkpoint_path(tmp_path, "map", 1).exists())
+    assert checkpoint_path(tmp_path, "map", 2).exists()
+    assert checkpoint_path(tmp_path, "plan", 1).exists()
 
 
 def test_a_checkpoint_that_has_no_room_is_not_there_in_part(tmp_path: Path) -> None:

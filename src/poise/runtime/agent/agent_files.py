@@ -12,7 +12,7 @@ import logging
 import os
 import threading
 import weakref
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 
 import msgspec
@@ -166,6 +166,11 @@ class CheckpointFiles:
         }
         for path in set(self._folder.glob("*.checkpoint")) - kept:
             path.unlink(missing_ok=True)
+
+    def remove(self, of: Collection[tuple[str, int]]) -> None:
+        """Remove those of these names and epochs; raises OSError."""
+        for name, epoch in of:
+            checkpoint_path(self._folder, name, epoch).unlink(missing_ok=True)
 
     def clear(self) -> None:
         """Remove those of another start of the robot, which has the same epochs."""
@@ -339,6 +344,10 @@ class DiskThread:
         self._checkpoints.send_only(wanted)
         self._put("checkpoints", lambda: self._remove_all_but(wanted))
 
+    def remove_checkpoints(self, of: Collection[tuple[str, int]]) -> None:
+        """Remove the checkpoints of these names and epochs, if the disk is not slow."""
+        self._put(object(), lambda: self._remove(of))
+
     def resend(self) -> None:
         """Send all checkpoints again: there is another manager."""
         self._checkpoints.resend()
@@ -401,6 +410,10 @@ class DiskThread:
     def _remove_all_but(self, wanted: Deployment) -> None:
         with rights_of(self._account):
             self._checkpoints.remove_all_but(wanted)
+
+    def _remove(self, of: Collection[tuple[str, int]]) -> None:
+        with rights_of(self._account):
+            self._checkpoints.remove(of)
 
     def _use(self, request: ReadOutput | CheckpointCopy) -> Answer:
         try:

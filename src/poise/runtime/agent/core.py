@@ -167,9 +167,11 @@ class AgentCore:
         self._about(container, self.supervisor.note_not_born, container, why)
 
     def on_ended(self, pid: int, how: ProcessEnd | str) -> None:
-        """Note that a process ended."""
-        name = self.supervisor.name_of(pid)
+        """Note that a process ended; until then it may have written checkpoints."""
+        name, unwanted = self.supervisor.name_of(pid), self.supervisor.unwanted_of(pid)
         self._about(name, self.supervisor.note_ended, pid, how)
+        if unwanted:
+            self._about(name, self._world.disk.remove_checkpoints, unwanted)
 
     def on_orphan(self, container: str, pid: int, control: ContainerControl) -> bool:
         """Adopt a container of an earlier agent; return whether that is done."""

@@ -164,6 +164,9 @@ class AgentDisk(Protocol):
     def keep_only(self, wanted: Deployment) -> None:
         """Remove the checkpoints of all that is not wanted, and send the others."""
 
+    def remove_checkpoints(self, of: Collection[tuple[str, int]]) -> None:
+        """Remove the checkpoints of these names and epochs."""
+
     def resend(self) -> None:
         """Send all checkpoints again: there is another manager."""
 

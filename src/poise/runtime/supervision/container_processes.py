@@ -135,6 +135,11 @@ class ContainerProcess:
             return None
         return what
 
+    def incarnations(self) -> set[tuple[str, int]]:
+        """Return the name and epoch of what it runs or ran last, as far as known."""
+        told = {(c.name, c.epoch) for c in self.spec.components}
+        return told | {(c.name, c.epoch) for c in self._components()}
+
     def leased_at_work(self, since: float) -> list[str]:
         """Return the leased components that it has said since then [s] are active."""
         if self.status is None or self.status.at < since:

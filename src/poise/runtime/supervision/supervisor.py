@@ -178,6 +178,14 @@ class Supervisor:
         if name:
             self._forget(self.processes[name], how)
 
+    def unwanted_of(self, pid: int) -> set[tuple[str, int]]:
+        """Return what a process runs that is not to run here; see `incarnations`."""
+        name = self.name_of(pid)
+        if not name or self.wanted is None:
+            return set()
+        wanted = {(c.name, c.epoch) for c in self.wanted.components}
+        return self.processes[name].incarnations() - wanted
+
     def name_of(self, pid: int) -> str:
         """Return the container of a process; empty: it is of none."""
         names = (p.name for p in self.processes.values() if p.pid == pid)

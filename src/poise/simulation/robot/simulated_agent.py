@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -393,6 +393,11 @@ class SimulatedDisk:
             (c.name, c.epoch) for c in wanted.components if c.checkpoint
         )
         self._send_soon()
+
+    def remove_checkpoints(self, of: Collection[tuple[str, int]]) -> None:
+        """Remove the checkpoints of these names and epochs."""
+        for key in of:
+            self._checkpoints.pop(key, None)
 
     def resend(self) -> None:
         """Send all checkpoints again."""
