@@ -6,7 +6,8 @@ import heapq
 import re
 import time
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from functools import cache
 from numbers import Real
 from pathlib import Path
 
@@ -15,7 +16,8 @@ from msgspec import Struct
 from poise.errors import UsageError
 from poise.session import Check, Say, log, nothing
 from poise.session.arguments import check_names, check_path, check_type
-from poise.session.running_robots.running import Running, connect
+from poise.session.running_robots.running import connect
+from poise.session.running_robots.running_component import RunningComponent
 from poise.wire.recording_file import Said, said_in
 
 CALLS = "calls are not played"
@@ -85,7 +87,7 @@ def play(
     check_type("rate", rate, Real, "a number")
     if not rate > 0:
         raise UsageError(f"rate {rate:g}: must be above 0")
-    running = connect(robot)
+    component = cache(connect(robot).component)  # asks the manager whether it is there
     _check_ports(Path(path), only)
     messages, skipped = Counter[str](), dict[str, str]()
     used: dict[str, str] = {}
@@ -104,7 +106,7 @@ def play(
             check()
             time.sleep(min(left, _LOOK_EVERY))
         check()
-        if why := _publish(running, port, said):
+        if why := _publish(component, port, said):
             skipped[port] = why
             say(f"{port} is not played: {why}")
             continue
@@ -149,11 +151,13 @@ def _is_call(value: object) -> bool:
     return isinstance(value, dict) and "seconds" in value and bool(ends & value.keys())
 
 
-def _publish(running: Running, port: str, said: Said) -> str:
+def _publish(
+    component: Callable[[str], RunningComponent], port: str, said: Said
+) -> str:
     """Publish a message; return why that cannot be done."""
-    component, _, name = port.rpartition(".")
+    owner, _, name = port.rpartition(".")
     try:
-        running.component(component).publish(name, said.value, limit=_LIMIT)
+        component(owner).publish(name, said.value, limit=_LIMIT)
     except UsageError as error:
         return CALLS if _is_call(said.value) else str(error)
     return ""
