@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from poise.errors import RunError
 from poise.runtime.agent.agent_files import AgentFolder
-from poise.wire.robots_here import AgentAddresses, folder, note
+from poise.wire.robots_here import AgentAddresses, folder, note, running_here
 
 
 def is_cleaned(place: Path) -> bool:
@@ -33,6 +34,24 @@ def test_notes_stay_while_who_wrote_them_lives(
         assert is_cleaned(folder())
         note(AgentAddresses("hello", {}))
         assert not is_cleaned(folder())
+
+
+def test_the_folder_of_another_user_is_named_with_the_way_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    assert not running_here()
+    tmp_path.chmod(0)
+    is_root = os.geteuid() == 0
+    if is_root:
+        os.seteuid(65534)
+    try:
+        with pytest.raises(RunError, match="Permission denied: set XDG_RUNTIME_DIR"):
+            running_here()
+    finally:
+        if is_root:
+            os.seteuid(0)
+        tmp_path.chmod(0o700)
 
 
 def test_what_an_agent_keeps_stays_while_it_lives(tmp_path: Path) -> None:

@@ -78,7 +78,19 @@ def path_of(robot: str) -> Path:
 
 def running_here() -> list[str]:
     """Return the names of this user's robots whose managers run here."""
-    return [p.stem for p in sorted(folder().glob("*.sock")) if is_alive(p)]
+    return [p.stem for p in _files(".sock") if is_alive(p)]
+
+
+def _files(ending: str) -> list[Path]:
+    """Return the files of the folder; RunError: it is of another user, as after `su`."""
+    try:
+        return sorted(path for path in folder().iterdir() if path.suffix == ending)
+    except FileNotFoundError:
+        return []
+    except PermissionError as error:
+        raise RunError(
+            f"{folder()}: {error.strerror}: set XDG_RUNTIME_DIR to a folder of yours"
+        ) from None
 
 
 def is_alive(path: Path) -> bool:
@@ -156,7 +168,7 @@ def noted_of(robot: str) -> AgentAddresses | None:
 
 def noted(robot: str | None = None) -> Iterator[AgentAddresses]:
     """Yield what managers of this user noted on this computer, of one robot or all."""
-    for path in sorted(folder().glob("*.agents")):
+    for path in _files(".agents"):
         if robot not in {None, path.stem}:
             continue
         try:
