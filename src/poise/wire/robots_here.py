@@ -82,7 +82,7 @@ def running_here() -> list[str]:
 
 
 def _files(ending: str) -> list[Path]:
-    """Return the files of the folder; RunError: it is of another user, as after `su`."""
+    """Return the files of the folder; RunError: it is another user's, as after `su`."""
     try:
         return sorted(path for path in folder().iterdir() if path.suffix == ending)
     except FileNotFoundError:
