@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -50,6 +51,24 @@ def test_ends_the_computers_that_it_made_unless_another_manager_has_them(
     with pytest.raises(DetachedFailure, match="runs already"):
         up_detached(ROBOT, Path("robot.yaml"), ["up"], print, lambda: None)
     assert found == ended
+
+
+def test_says_what_its_computers_are_without(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said: list[str] = []
+    made = iter([None])
+    state = SimpleNamespace(without=("CPU limits",))
+    kept = SimpleNamespace(state=lambda: state)
+    for name, fake in {
+        "set_for": lambda _: next(made, kept),
+        "log_of": lambda name: _touched(tmp_path / name),
+        "_started": lambda *_: SimpleNamespace(pid=1),
+        "_wait": lambda *_: None,
+    }.items():
+        monkeypatch.setattr(detached, name, fake)
+    up_detached(ROBOT, Path("robot.yaml"), ["up"], said.append, lambda: None)
+    assert said[-1].strip() == "without CPU limits"
 
 
 def test_a_log_that_cannot_be_written_is_named_with_what_to_do(

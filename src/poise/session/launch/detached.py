@@ -74,6 +74,9 @@ def up_detached(
             say(
                 f"its emulated computers stay up until `poise emulate stop`; log: {log}"
             )
+            if kept := set_for(robot):
+                for sentence in kept.state().without:
+                    say(f"  without {sentence}")
         log = log_of(robot.name)
         size = log.stat().st_size
         process = _started(words, log)
