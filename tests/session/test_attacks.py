@@ -23,12 +23,14 @@ from poise.clock import SystemClock
 from poise.endpoint import Endpoint
 from poise.kernel_counters import proportional_memory
 from poise.manage.agent_connections.agents import Agents
+from poise.manage.control_socket.agents_without_manager import NoManager, ask_agents
 from poise.session.keys import Authority, init_keys
 from poise.wire.control_session import open_session
 from poise.wire.credentials import Credentials
 from poise.wire.heartbeats import UdpDatagrams
 from poise.wire.records.heartbeat_records import Heartbeat
 from poise.wire.refusal import why_refused
+from poise.wire.robots_here import AgentAddresses
 from tests.runtime.conftest import free_port
 from tests.waiting import LIMIT, wait_until
 
@@ -323,8 +325,22 @@ def test_who_is_refused_is_told_why(guarded: Guarded, tmp_path: Path) -> None:
     assert "it refuses the keys in" in why_refused(agent, late)
 
 
+def test_a_robot_whose_agents_refuse_is_not_said_to_have_ended(
+    guarded: Guarded, tmp_path: Path
+) -> None:
+    """Commands said that it does not run when the keys of its computers had ended."""
+    forged = guarded.issue("lee", "manager", init_keys(ROBOT, tmp_path / "forger"))
+    ends = {"left": guarded.endpoint}
+    with pytest.raises(NoManager, match="runs is not known") as caught:
+        ask_agents(AgentAddresses(ROBOT, ends, str(forged.folder)))
+    assert "left: its certificate is not of this robot" in str(caught.value)
+    owner = AgentAddresses(ROBOT, ends, str(guarded.owner.folder))
+    assert ask_agents(owner) is None  # it runs nothing
+
+
 def test_of_a_listener_without_tls_this_is_said(guarded: Guarded) -> None:
+    """An agent that was stopped was said to run with --insecure."""
     with socket.create_server(("127.0.0.1", 0)) as plain:
         agent = Endpoint("127.0.0.1", plain.getsockname()[1])
-        assert "it speaks no TLS" in why_refused(agent, guarded.owner)
+        assert "not answer in TLS: it hangs" in why_refused(agent, guarded.owner)
         assert "another program have its port" in why_refused(agent, None)

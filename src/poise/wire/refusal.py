@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import socket
 import ssl
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 
 from poise.endpoint import Endpoint
 from poise.wire.credentials import Credentials
 
+_MOST_AT_ONCE = 8
 _LIMIT = 2.0
 """An agent that would say something has said it after this time [s]."""
 _ALERT = 0x15
@@ -19,10 +23,30 @@ _STRANGE = b"\x01\x00\x00"
 def why_refused(agent: Endpoint, keys: Credentials | None) -> str:
     """Return why an agent does not let in who has these keys; empty: unknown."""
     try:
-        with socket.create_connection((agent.host, agent.port), _LIMIT) as plain:
-            return _of_plain(plain) if keys is None else _of_keys(plain, keys)
+        return _of_listener(agent, keys)
     except OSError as error:
         return f"{agent}: {error}"
+
+
+def refusals(
+    agents: Mapping[str, Endpoint], keys: Credentials | None
+) -> Mapping[str, str]:
+    """Return why agents let nobody in who has these keys, where something listens."""
+    reasons: dict[str, str] = {}
+
+    def ask(name: str) -> None:
+        with contextlib.suppress(OSError):  # nothing is there
+            why = _of_listener(agents[name], keys)
+            reasons[name] = why or "its agent gives no answer"
+
+    with ThreadPoolExecutor(_MOST_AT_ONCE) as pool:
+        list(pool.map(ask, agents))
+    return dict(sorted(reasons.items()))
+
+
+def _of_listener(agent: Endpoint, keys: Credentials | None) -> str:
+    with socket.create_connection((agent.host, agent.port), _LIMIT) as plain:
+        return _of_plain(plain) if keys is None else _of_keys(plain, keys)
 
 
 def _of_plain(plain: socket.socket) -> str:
@@ -53,7 +77,10 @@ def _of_keys(plain: socket.socket, keys: Credentials) -> str:
             "): `poise keys issue` makes another"
         )
     except OSError:
-        return "it speaks no TLS: it runs with --insecure, or something else is there"
+        return (
+            "it does not answer in TLS: it hangs, runs with --insecure, or something "
+            "else is there"
+        )
     try:
         with secured:
             secured.recv(1)  # it says so only now that it does not trust ours

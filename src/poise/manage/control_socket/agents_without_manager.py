@@ -10,6 +10,7 @@ import socket
 import time
 from collections.abc import Collection, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING
 
 from msgspec.structs import replace
 
@@ -21,6 +22,9 @@ from poise.manage.control_socket.commands import RobotStatus
 from poise.manage.observe.deviations import Deviation
 from poise.wire.control_session import close_session, endpoint_of, open_session
 from poise.wire.robots_here import AgentAddresses, noted
+
+if TYPE_CHECKING:
+    from poise.wire.credentials import Credentials
 
 AGENT_LIMIT = 2.0
 """An agent that is there reports within this time [s]: it does so twice a second."""
@@ -54,14 +58,27 @@ def robots_without_manager(but: Collection[str] = ()) -> dict[str, RobotStatus]:
     """Return the robots that go on without a manager that this computer had."""
     left = [addresses for addresses in noted() if addresses.robot not in but]
     with ThreadPoolExecutor(_MOST_AT_ONCE) as pool:
-        found = list(pool.map(ask_agents, left))
+        found = list(pool.map(_answer, left))
     return {status.robot: status for status in found if status is not None}
+
+
+def _answer(addresses: AgentAddresses) -> RobotStatus | None:
+    """Return what the agents of a robot say; None: nothing."""
+    try:
+        return ask_agents(addresses)
+    except NoManager:
+        return None
 
 
 def ask_agents(addresses: AgentAddresses, why: str = "") -> RobotStatus | None:
     """Return what the agents of a robot say; None: none says that something runs.
 
     `why`: why the manager does not answer, and the way out; empty: it is gone.
+
+    Raises
+    ------
+    NoManager
+        Something listens where they are, and none answers: nothing is known.
     """
     with ThreadPoolExecutor(_MOST_AT_ONCE) as pool:
         if not any(pool.map(_listens, addresses.endpoints.values())):
@@ -76,8 +93,23 @@ def ask_agents(addresses: AgentAddresses, why: str = "") -> RobotStatus | None:
         del kept
     finally:
         close_session(session)
+    if not reports.reached() and not why:
+        _raise_if_refused(addresses, keys)
     found = status_by_agents(addresses, reports.statuses(), wall_time(), why)
     return found and replace(found, ages=reports.ages())
+
+
+def _raise_if_refused(addresses: AgentAddresses, keys: Credentials | None) -> None:
+    from poise.wire.refusal import refusals  # noqa: PLC0415, `ssl` is slow
+
+    agents = {name: endpoint_of(e) for name, e in addresses.endpoints.items()}
+    if reasons := refusals(agents, keys):
+        each = "".join(f"\n{name}: {why}" for name, why in reasons.items())
+        raise NoManager(
+            f"whether robot '{addresses.robot}' runs is not known: none of its agents "
+            f"answers{each}",
+            status=None,
+        )
 
 
 def status_by_agents(

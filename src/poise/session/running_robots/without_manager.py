@@ -31,7 +31,7 @@ def status_without_manager(robot: Robot) -> RobotStatus:
     UsageError
         Its computers have no addresses, and none are kept for it.
     RunError
-        No agent says that something runs.
+        No agent says that something runs, or why none answers.
     """
     addresses = _addresses(robot, "viewer")
     status = ask_agents(addresses)
