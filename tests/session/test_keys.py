@@ -13,7 +13,15 @@ from poise.errors import RunError, UsageError
 from poise.session.keys import Authority, authority_of, init_keys
 from poise.wire import credentials
 from poise.wire.address import KEYS
-from poise.wire.credentials import AUTHORITY, HEARTBEATS, Credentials, find
+from poise.wire.credentials import (
+    AUTHORITY,
+    CERTIFICATE,
+    HEARTBEATS,
+    PRIVATE_KEY,
+    Credentials,
+    RenewableKeys,
+    find,
+)
 
 DAY = 86400.0
 
@@ -34,6 +42,32 @@ def test_keys_say_of_whom_they_are_and_until_when(authority: Authority) -> None:
     assert keys.expires == pytest.approx(wall_time() + 3 * DAY, abs=60)
     assert "ends in 3.0 days: `poise keys issue` renews it" in keys.warning()
     assert not issue(authority).warning()
+
+
+def test_a_process_that_goes_on_gets_renewed_keys(authority: Authority) -> None:
+    """Containers that their next agent adopts had only those of their start."""
+    own = RenewableKeys(issue(authority).folder)
+    before = own.latest()
+    assert own.latest() is before
+    renewed = issue(authority, days=180)
+    assert own.latest() is not before
+    assert own.latest().expires == renewed.expires
+
+
+def test_keys_that_are_no_good_renew_nothing(
+    authority: Authority, tmp_path: Path
+) -> None:
+    own = RenewableKeys(issue(authority).folder)
+    before = own.latest()
+    other = init_keys("other", tmp_path / "other")
+    other.issue("left", "agent", before.folder)  # another robot's
+    assert own.latest() is before
+    (before.folder / CERTIFICATE).write_text("a part of it")
+    assert own.latest() is before
+    (before.folder / PRIVATE_KEY).unlink()
+    assert own.latest() is before
+    issue(authority)
+    assert own.latest() is not before
 
 
 def test_keys_end_with_their_authority(

@@ -8,6 +8,7 @@ the common name in its certificate, for zenoh's access control knows that only.
 
 from __future__ import annotations
 
+import contextlib
 import hmac
 import os
 import ssl
@@ -19,7 +20,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from poise.clock import wall_time
-from poise.errors import RunError, UsageError
+from poise.errors import PoiseError, RunError, UsageError
 from poise.user_folders import home_folder
 from poise.wire.address import KEYS
 
@@ -220,6 +221,38 @@ def _hex_keys(path: Path) -> list[bytes]:
 
 def _subject(decoded: Mapping[str, Any]) -> dict[str, str]:
     return {key: value for part in decoded.get("subject", ()) for key, value in part}
+
+
+class RenewableKeys:
+    """The keys of a container, which may outlive them: those in its folder are renewed.
+
+    It goes on with those that it has where new ones are damaged, not yet there as a
+    whole, not its robot's, or not for it to read.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._files = _identities(folder)
+        self._keys = Credentials(folder)
+        self._keys.load()
+        self._robot = self._keys.robot
+
+    def latest(self) -> Credentials:
+        """Return the keys; any thread may ask."""
+        with contextlib.suppress(PoiseError, OSError):
+            files = _identities(self._folder)
+            if files != self._files:
+                renewed = Credentials(self._folder)
+                renewed.check(self._robot, "agent")
+                renewed.load()
+                self._files, self._keys = files, renewed
+        return self._keys
+
+
+def _identities(folder: Path) -> list[tuple[int, int]]:
+    """Return what changes when keys are renewed."""
+    files = [(folder / name).stat() for name in FILES]
+    return [(file.st_ino, file.st_mtime_ns) for file in files]
 
 
 def folders(robot: str) -> list[Path]:

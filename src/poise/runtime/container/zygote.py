@@ -196,8 +196,7 @@ class _Zygote:
         adopt_orphans()
         gain_no_rights()
         if account is not None:
-            if (keys := own_keys()) is not None:
-                keys.load()  # containers cannot read them
+            own_keys()  # containers cannot read them
             account.become()
         # Blocked, not ignored: only the agent's end ends the zygote, and a container
         # must not lose one that comes before it has its handler.

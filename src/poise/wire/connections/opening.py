@@ -23,7 +23,7 @@ from poise.wire.frame import FrameKind
 
 if TYPE_CHECKING:
     from poise.wire.connections.tls_channel import Handshake
-    from poise.wire.credentials import Credentials
+    from poise.wire.credentials import Credentials, RenewableKeys
 
 NAME = codec(str)
 CALLS, MESSAGES = 0, 1
@@ -39,13 +39,23 @@ _LONGEST_WAIT = 1e6
 
 
 @cache
-def own_keys() -> Credentials | None:
-    """Return the keys of this process; None: it meets other computers over TCP."""
+def _own() -> RenewableKeys | None:
     if not os.environ.get(KEYS):
         return None
-    from poise.wire.credentials import Credentials  # noqa: PLC0415, `ssl` is slow
+    from poise.wire.credentials import RenewableKeys  # noqa: PLC0415, `ssl` is slow
 
-    return Credentials(Path(os.environ[KEYS]))
+    return RenewableKeys(Path(os.environ[KEYS]))
+
+
+def own_keys() -> Credentials | None:
+    """Return the keys of this process; None: it meets other computers over TCP."""
+    own = _own()
+    return None if own is None else own.latest()
+
+
+def forget_own_keys() -> None:
+    """Look anew for the keys of this process."""
+    _own.cache_clear()
 
 
 class Opening:
