@@ -47,6 +47,17 @@ def test_no_status_waits_for_an_agent_that_stands_still(tmp_path: Path) -> None:
         container._report(container._status())  # raises Timeout if it waits
 
 
+def test_says_why_it_cannot_begin(tmp_path: Path) -> None:
+    """A folder with no file left to make: it ended with exit code 1, and no more."""
+    agent, ours = socket.socketpair()
+    with agent, ours:
+        with pytest.raises(RunError, match="cannot listen in"):
+            Container("see", "a", tmp_path / "gone", ours, new_memory())
+        failure = frame.RecordReader(agent).next(FromContainer)
+    assert isinstance(failure, ContainerFailure)
+    assert failure.reason.endswith("gone: No such file or directory")
+
+
 def test_says_once_what_waits_amid_a_move_that_nobody_finishes(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:

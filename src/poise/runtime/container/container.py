@@ -109,7 +109,7 @@ class Container:
         self._name = name
         self._clock = ComputerClock(computer)
         self._link = AgentLink(name, agent, stats_page, folder, self._clock)
-        self._server = ConnectionServer(folder, name)
+        self._server = self._listening(folder)
         self._wiring = Wiring(self._server, self._clock.offset)
         self._taps = Taps(self._sender)
         self._folder = folder
@@ -134,6 +134,14 @@ class Container:
         self._server.on_change = self._waker.wake
         self._stats_page = StatsPage(stats_page)
         self._lease = LeaseEnd(stats_page)
+
+    def _listening(self, folder: Path) -> ConnectionServer:
+        try:
+            return ConnectionServer(folder, self._name)
+        except OSError as error:
+            why = RunError(f"cannot listen in {folder}: {error.strerror}")
+            self._tell_failure(why)
+            raise why from error
 
     def run(self) -> None:
         """Work until the agent says to end, or is gone for too long."""

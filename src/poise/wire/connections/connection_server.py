@@ -273,9 +273,13 @@ def _bound(path: Path, kind: socket.SocketKind) -> socket.socket:
     """Return a socket at a path, where a killed container may have left one."""
     path.unlink(missing_ok=True)
     bound = socket.socket(socket.AF_UNIX, kind)
-    keep_private(bound)
-    bound.bind(os.fspath(path))
-    bound.setblocking(False)
+    try:
+        keep_private(bound)
+        bound.bind(os.fspath(path))
+        bound.setblocking(False)
+    except OSError:
+        bound.close()
+        raise
     return bound
 
 
