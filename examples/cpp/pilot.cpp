@@ -53,7 +53,7 @@ class Controller : public poise::Component {
     state_.gain = wanted.gain;
   }
 
-  Learned snapshot() { return state_; }
+  Learned snapshot() const { return state_; }
   void restore(const Learned& state) { state_ = state; }
 
  private:

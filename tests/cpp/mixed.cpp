@@ -57,12 +57,22 @@ static void spin_or_sleep(double seconds) {
   std::this_thread::sleep_for(std::chrono::duration<double>(seconds));
 }
 
-class Target : public poise::Component {
+// A second base lies elsewhere in the object than the first.
+class Counts {
+ public:
+  virtual ~Counts() = default;
+  poise::Published<Number> heard;
+  int calls = 7;
+
+  void number(const Number& message) { heard.publish({message.value + 1 + calls - 7}); }
+};
+
+// What a component has from its bases, and const methods, are as good as its own.
+class Target : public poise::Component, public Counts {
  public:
   poise::Required<Backs> backs;
-  poise::Published<Number> heard;
 
-  int add(int one, int two) { return one + two; }
+  int add(int one, int two) const { return one + two; }
   Everything echo(const Everything& everything) {
     Everything more = everything;
     ++more.number;
@@ -75,7 +85,6 @@ class Target : public poise::Component {
   void wait(double seconds) { spin_or_sleep(seconds); }
   int back(int depth) { return depth > 0 ? 1 + backs.further(depth - 1) : 0; }
   void note(const std::string& text) { heard.publish({static_cast<int>(text.size())}); }
-  void number(const Number& message) { heard.publish({message.value + 1}); }
   void picture(const Everything& message) {
     double sum = 0.0;
     for (const float value : message.array) sum += value;
@@ -330,7 +339,7 @@ class CountingPasser : public poise::Component {
   void configure() override { state_.ballast.data.assign(parameters.ballast, ' '); }
   int double_it(int value) { return 2 * value; }
   void numbers(const Number& message) { passed.publish(message); }
-  PasserState snapshot() { return state_; }
+  PasserState snapshot() const { return state_; }
   void restore(const PasserState& state) { state_ = state; }
 
  private:

@@ -13,6 +13,7 @@
 // Its code runs without the interpreter's lock; what leads to Python takes it by itself.
 #pragma once
 
+#include <concepts>
 #include <functional>
 #include <utility>
 
@@ -117,6 +118,20 @@ struct StateOf<std::optional<T>> {
   using type = T;
 };
 
+// What a method takes and returns. It may be const, and of a base class.
+template <typename Method>
+struct MethodOf;
+template <typename Result, typename C, typename... Args>
+struct MethodOf<Result (C::*)(Args...)> {
+  using Signature = Result(Args...);
+};
+template <typename Result, typename C, typename... Args>
+struct MethodOf<Result (C::*)(Args...) const> {
+  using Signature = Result(Args...);
+};
+template <typename Method>
+using SignatureOf = std::type_identity<typename MethodOf<Method>::Signature>;
+
 // What a class in C++ tells Python of itself, and how an instance is made.
 struct Made {
   nb::dict functions;  // name -> what Python calls, with the component first
@@ -131,27 +146,31 @@ class Declaration {
  public:
   // Call a method every `period` [s]; a run that has not ended `deadline` [s] after its release
   // is late.
-  void every(double period, const char* name, void (C::*method)(),
+  template <typename Method>
+    requires std::invocable<Method, C&>
+  void every(double period, const char* name, Method method,
              std::optional<double> deadline = std::nullopt) {
     timers_.append(nb::make_tuple(name, period, deadline));
     add_function(name, method);
   }
 
-  template <typename M>
-  void subscribed(const char* port, void (C::*method)(M), Queue queue = keep(1)) {
-    subscribed_.append(nb::make_tuple(port, queue.policy, queue.size, detail::python_type<M>()));
+  template <typename Method>
+  void subscribed(const char* port, Method method, Queue queue = keep(1)) {
+    subscribed_.append(nb::make_tuple(port, queue.policy, queue.size, taken_by<Method>()));
     add_function(port, method);
   }
 
-  template <typename M>
-  void published(const char* port, Published<M> C::*member, Publication publication = {}) {
+  template <typename M, typename Base>
+    requires std::derived_from<C, Base>
+  void published(const char* port, Published<M> Base::*member, Publication publication = {}) {
     published_[port] = detail::python_type<M>();
     if (publication.latest) latest_.append(port);
     on_instance([=](C& object, const detail::Place& place) { (object.*member).attach(place.of(port)); });
   }
 
-  template <typename Interface>
-  void required(const char* port, Required<Interface> C::*member) {
+  template <typename Interface, typename Base>
+    requires std::derived_from<C, Base>
+  void required(const char* port, Required<Interface> Base::*member) {
     required_[port] = interface_class<Interface>();
     on_instance([=](C& object, const detail::Place& place) {
       poise_visit(static_cast<Interface&>(object.*member), [&](const char* name, auto& method) {
@@ -172,7 +191,7 @@ class Declaration {
     const Interface interface;
     poise_bind(static_cast<const Interface*>(nullptr), static_cast<const C*>(nullptr),
                [&](const char* name, auto declared, auto method) {
-                 check_fits(declared, method);
+                 check_fits(declared, detail::SignatureOf<decltype(method)>());
                  add_function(name, method, (interface.*declared).names, true);
                });
   }
@@ -225,7 +244,7 @@ class Declaration {
   }
 
   template <typename Interface, typename M, typename Result, typename... Args>
-  static void check_fits(M Interface::*, Result (C::*)(Args...)) {
+  static void check_fits(M Interface::*, std::type_identity<Result(Args...)>) {
     static_assert(
         std::is_same_v<typename M::Signature,
                        std::remove_cvref_t<Result>(std::remove_cvref_t<Args>...)>,
@@ -237,28 +256,38 @@ class Declaration {
   }
 
   // Let Python call a method; `names` are of its parameters.
-  template <typename Result, typename... Args>
-  void add_function(const char* name, Result (C::*method)(Args...),
-                    std::array<const char*, sizeof...(Args)> names = {}, bool is_target = false) {
+  template <typename Method, std::size_t Size = 0>
+  void add_function(const char* name, Method method, std::array<const char*, Size> names = {},
+                    bool is_target = false) {
     functions_.push_back([=](const Instance& object, detail::Made& made) {
-      auto function = [object, method](nb::handle, const std::remove_cvref_t<Args>&... args) {
-        return detail::run_released([&] { return (object.get()->*method)(args...); });
-      };
-      nb::object callable = named(std::move(function), name, names,
-                                  std::make_index_sequence<sizeof...(Args)>());
+      nb::object callable = named(released(object, method), name, names,
+                                  std::make_index_sequence<Size>());
       if (is_target)
-        made.targets->by_function[callable.ptr()] = detail::target_of(object.get(), method);
+        made.targets->by_function[callable.ptr()] =
+            detail::target_of(object.get(), method, detail::SignatureOf<Method>());
       made.functions[name] = callable;
     });
+  }
+
+  // A method as Python calls it, with the component first; the GIL is released meanwhile.
+  template <typename Method>
+  static auto released(const Instance& object, Method method) {
+    return [&]<typename Result, typename... Args>(std::type_identity<Result(Args...)>) {
+      return [object, method](nb::handle, const std::remove_cvref_t<Args>&... args) {
+        return detail::run_released([&] { return (object.get()->*method)(args...); });
+      };
+    }(detail::SignatureOf<Method>());
   }
 
   template <typename Function, std::size_t Size, std::size_t... Places>
   static nb::object named(Function function, const char* name,
                           const std::array<const char*, Size>& names,
                           std::index_sequence<Places...>) {
-    if (Size == 0 || !names[0]) return nb::cpp_function(std::move(function), nb::name(name));
-    return nb::cpp_function(std::move(function), nb::name(name), nb::arg("self"),
-                            nb::arg(names[Places])...);
+    if constexpr (Size == 0)
+      return nb::cpp_function(std::move(function), nb::name(name));
+    else
+      return nb::cpp_function(std::move(function), nb::name(name), nb::arg("self"),
+                              nb::arg(names[Places])...);
   }
 
   // Let Python call a function with the component; `parameter` is the type that a hook takes.
@@ -293,37 +322,42 @@ class Declaration {
     if constexpr (requires { &C::reconfigure; }) add_reconfigure(&C::reconfigure);
   }
 
-  template <typename State>
-  void add_giver(const char* name, State (C::*method)()) {
-    static_assert(Message<typename detail::StateOf<State>::type>,
-                  "list the fields of the state by POISE_MESSAGE");
+  template <typename Method>
+  void add_giver(const char* name, Method method) {
+    [&]<typename State>(std::type_identity<State()>) {
+      static_assert(Message<typename detail::StateOf<State>::type>,
+                    "list the fields of the state by POISE_MESSAGE");
+    }(detail::SignatureOf<Method>());
     add_hook(name, [method](const Instance& object) {
-      return nb::cpp_function([object, method](nb::handle) {
-        return detail::run_released([&] { return (object.get()->*method)(); });
-      });
+      return nb::cpp_function(released(object, method));
     });
   }
 
-  template <typename State>
-  void add_taker(const char* name, void (C::*method)(State)) {
+  template <typename Method>
+  void add_taker(const char* name, Method method) {
     add_hook(name, [method](const Instance& object) {
-      return nb::cpp_function([object, method](nb::handle, const std::remove_cvref_t<State>& state) {
-        detail::run_released([&] { (object.get()->*method)(state); });
-      });
-    }, detail::python_type<State>());
+      return nb::cpp_function(released(object, method));
+    }, taken_by<Method>());
   }
 
-  template <typename Parameters>
-  void add_reconfigure(void (C::*method)(Parameters)) {
+  template <typename Method>
+  void add_reconfigure(Method method) {
     add_hook("reconfigure", [method](const Instance& object) {
-      return nb::cpp_function(
-          [object, method](nb::handle, const std::remove_cvref_t<Parameters>& parameters) {
-            detail::run_released([&] {
-              (object.get()->*method)(parameters);
-              object->parameters = parameters;
-            });
-          });
-    }, detail::python_type<Parameters>());
+      return nb::cpp_function([object, method](nb::handle, const decltype(C::parameters)& parameters) {
+        detail::run_released([&] {
+          (object.get()->*method)(parameters);
+          object->parameters = parameters;
+        });
+      });
+    }, taken_by<Method>());
+  }
+
+  // The type in Python of what a method takes.
+  template <typename Method>
+  static nb::object taken_by() {
+    return []<typename Taken>(std::type_identity<void(Taken)>) {
+      return detail::python_type<Taken>();
+    }(detail::SignatureOf<Method>());
   }
 
   // Return what an instance of the class in Python needs: its functions, what tells it of other

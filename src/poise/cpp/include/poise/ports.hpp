@@ -221,9 +221,8 @@ class Required : public Interface {};
 
 namespace detail {
 
-template <typename C, typename Result, typename... Args>
-Target target_of(C* object, Result (C::*method)(Args...)) {
-  using Pointer = Result (C::*)(Args...);
+template <typename C, typename Pointer, typename Result, typename... Args>
+Target target_of(C* object, Pointer method, std::type_identity<Result(Args...)>) {
   Target target;
   target.layout = Method<std::remove_cvref_t<Result>(std::remove_cvref_t<Args>...)>::layout();
   target.object = object;
