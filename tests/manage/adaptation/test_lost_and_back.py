@@ -75,6 +75,27 @@ def test_what_restarts_without_the_state_that_was_to_be_kept_is_said() -> None:
     assert robbed.run.lost_states["low"].what == wrong
 
 
+def test_what_goes_on_on_a_lost_computer_has_lost_no_state(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Its lease may last: then nothing starts elsewhere."""
+    robot = robot_with().with_components(
+        lambda c: replace(c, checkpoint=1.0 if c.name == "low" else 0.0)
+    )
+    robbed = Robbed(robot)
+    run = robbed.run
+
+    def last(*_: object) -> None:
+        raise RunError("components of 'left' may still be at work")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(run, "end_left_behind", last)
+        assert not start_together(run, {"low": "left"}, lost=["left"])
+    assert run.lost_states == {}
+    assert start_together(run, {"low": "left"}, lost=["left"])
+    assert run.lost_states.keys() == {"low"}
+
+
 def test_what_stays_where_it_was_keeps_its_checkpoints(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -45,9 +45,11 @@ def start_together(
     ]
     new = [_with_checkpoint(live, incarnation) for incarnation in new]
     old = [live.placed[name] for name in sorted(placement.keys() & live.placed.keys())]
+    lost_states = {each.component: _lost_state(live, each) for each in old}
     lost = {incarnation.computer for incarnation in old}.intersection(lost)
     # one of the lost that comes back meanwhile must keep what it has
     ends = [incarnation for incarnation in old if incarnation.computer not in lost]
+    _note_lost_states(live, ends, lost_states)
     desired = live.desired.without([incarnation.component for incarnation in ends])
     inactive = [incarnation.with_goal("inactive") for incarnation in new]
     try:
@@ -71,6 +73,8 @@ def start_together(
         return False
     # where they were, they have no lease any more
     live.commit(live.desired.placing(new), "components start together")
+    left = [incarnation for incarnation in old if incarnation.computer in lost]
+    _note_lost_states(live, left, lost_states)
     try:
         live.wait(new, ACTIVE_LIMIT)
     except RunError as error:
@@ -88,29 +92,42 @@ def _names(computers: Collection[str]) -> str:
 
 
 def _with_checkpoint(live: LiveRobot, new: Incarnation) -> Incarnation:
-    """Return it with what was kept of what is placed; journal what is lost."""
-    name, before = new.component, live.placed.get(new.component)
-    kept = live.agents.checkpoints.get(name, before.epoch) if before else None
-    if before is not None and kept is None:
-        _note_lost_state(live, before)
+    """Return it with what was kept of what is placed."""
+    before = live.placed.get(new.component)
+    kept = None
+    if before is not None:
+        kept = live.agents.checkpoints.get(before.component, before.epoch)
     return with_checkpoint(live, new, kept)
 
 
-def _note_lost_state(live: LiveRobot, before: Incarnation) -> None:
-    """Journal that a component lost its state, if it had one; `status` shows it."""
+def _lost_state(live: LiveRobot, before: Incarnation) -> str:
+    """Return why a component starts without the state that it had; empty: it does not.
+
+    It had none, or a checkpoint was kept.
+    """
     name = before.component
     has_checkpoint = bool(live.robot.component(name).checkpoint)
     has_state = any(
         at == before.computer and c.name == name and c.has_state
         for at, c in located(live.agents.statuses())
     )
-    if not (has_checkpoint or has_state):
-        return
+    is_kept = live.agents.checkpoints.get(name, before.epoch) is not None
+    if is_kept or not (has_checkpoint or has_state):
+        return ""
     why = "it has no `checkpoint` in the robot file"
     if has_checkpoint:
         why = "this manager has no copy of its checkpoint"
     lost = f"without the state that it had on '{before.computer}': {why}"
-    live.note_lost_state(name, before.computer, f"component '{name}' started {lost}")
+    return f"component '{name}' started {lost}"
+
+
+def _note_lost_states(
+    live: LiveRobot, ended: Collection[Incarnation], lost_states: Mapping[str, str]
+) -> None:
+    """Journal which components lost their state; `status` shows it."""
+    for each in ended:
+        if what := lost_states[each.component]:
+            live.note_lost_state(each.component, each.computer, what)
 
 
 def transit(live: LiveRobot, steps: tuple[TransitionStep, ...]) -> TransitionReport:
