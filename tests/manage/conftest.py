@@ -104,6 +104,8 @@ class FakeAgents:
         self.heartbeats = self
         self.gone: set[str] = set()
         self.lasting: set[str] = set()
+        self.lasting_leases: set[str] = set()
+        self.heard: set[str] = set()
         self.hearers: dict[str, str] = {}
         self.revoked: list[str] = []
         self.returns = False
@@ -222,6 +224,9 @@ class FakeAgents:
     def heard_by(self, computer: str) -> str:
         return self.hearers.get(computer, "")
 
+    def is_heard(self, computer: str) -> bool:
+        return computer in self.heard
+
     def is_sure(self, computer: str) -> bool:  # noqa: ARG002, always
         return True
 
@@ -229,6 +234,8 @@ class FakeAgents:
         return False
 
     def revoke(self, computers: Iterable[str]) -> bool:
+        if not self.lasting_leases.isdisjoint(computers):
+            return False
         self.revoked += sorted(computers)
         return True
 

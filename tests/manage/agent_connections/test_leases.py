@@ -148,6 +148,25 @@ def test_who_is_cut_off_from_the_manager_only_goes_on(world: World) -> None:
     assert not world.have_leases_ended("left")
 
 
+def test_who_loses_only_its_connection_is_still_heard(world: World) -> None:
+    """A firewall may let nothing but heartbeats through."""
+    world.manager.note_ended("left", world.now)
+    assert not world.manager.is_heard("left")  # it may have ended just now
+    world.run(UNHEARD_AFTER)
+    assert world.manager.is_heard("left")
+    world.isolate("left")
+    world.run(UNHEARD_AFTER + 2 * EVERY)
+    assert not world.manager.is_heard("left")
+
+
+def test_who_ends_is_not_heard_any_more(world: World) -> None:
+    world.isolate("left")
+    world.manager.note_ended("left", world.now)
+    for _ in range(20):
+        world.run(0.05)
+        assert not world.manager.is_heard("left")
+
+
 def test_a_manager_that_cannot_be_heard_stops_nothing(world: World) -> None:
     """It reaches no agent, so it can have started nothing elsewhere."""
     world.isolate(MANAGER)

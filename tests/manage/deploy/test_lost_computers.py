@@ -7,6 +7,7 @@ from typing import cast
 import pytest
 from msgspec import structs
 
+from poise.errors import RunError
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.deploy.lost_computers import LostComputers
@@ -161,3 +162,23 @@ def test_a_checkpoint_that_an_agent_does_not_take_is_told_of(robot: Robot) -> No
         "component 'thinker' starts on 'right' without the state that it had: its "
         "agent did not take the checkpoint (no space)"
     )
+
+
+def test_a_computer_that_still_sends_heartbeats_goes_on(robot: Robot) -> None:
+    """Its lease lasts: nothing is started elsewhere, and no room is made for that."""
+    agents = FakeAgents("left", "right")
+    live = started(robot, agents)
+    lost = LostComputers(live)
+    agents.gone.add("right")
+    lost.note()
+    assert lost.computers() == {"right"}
+    agents.heard.add("right")
+    assert lost.computers() == set()
+    (told,) = lost.deviations()
+    assert told.what.endswith(
+        "it still sends heartbeats (UDP), but accepts no connection (TCP): thinker "
+        "keeps running"
+    )
+    agents.lasting_leases.add("right")
+    with pytest.raises(RunError, match="heartbeats still come from 'right'"):
+        live.revoke_leases({"right"})

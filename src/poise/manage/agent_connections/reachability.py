@@ -157,6 +157,19 @@ class Reachability:
             if agent.direct.seconds >= UNHEARD_AFTER
         }
 
+    def is_heard(self, computer: str) -> bool:
+        """Return whether an agent still exchanges heartbeats that seemed to be gone.
+
+        So only its connection is cut, and its lease lasts.
+        """
+        agent, contact = self._agents.get(computer), self._contacts.get(computer)
+        ended_at = self._ended_at.get(computer)
+        if agent is None or contact is None or ended_at is None:
+            return False
+        is_later = agent.direct.last - ended_at > _LATER
+        is_silent = agent.direct.seconds >= UNHEARD_AFTER
+        return is_later and not is_silent and not contact.last.is_cut_off
+
     def heard_by(self, computer: str, now: float) -> str:
         """Return another agent that hears this one; empty when none does."""
         agent = self._agents.get(computer)
@@ -262,6 +275,11 @@ class AgentHeartbeats:
         with self._lock:
             now = self._clock.now()
             return self._reachability.have_leases_ended(computers, now)
+
+    def is_heard(self, computer: str) -> bool:
+        """Return whether an agent still sends heartbeats that seemed to be gone."""
+        with self._lock:
+            return self._reachability.is_heard(computer)
 
     def heard_by(self, computer: str) -> str:
         """Return another agent that hears this one; empty when none does."""

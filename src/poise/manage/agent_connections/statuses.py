@@ -126,12 +126,14 @@ def containers_left(statuses: Statuses, computers: Iterable[str]) -> list[str]:
 def unreached(
     out_of_reach: Mapping[str, float],
     placement: Mapping[str, str],
+    heard: Collection[str],
     heard_by: Mapping[str, str],
     leased: Collection[str],
 ) -> dict[str, str]:
     """Return what is known of each computer that is out of reach, in words.
 
-    `heard_by`: computer -> another one that still hears it; empty: none does.
+    `heard`: those that still send heartbeats; `heard_by`: computer -> another one that
+    still hears it; empty: none does.
     """
     sentences = {}
     for computer, since in sorted(out_of_reach.items()):
@@ -141,9 +143,11 @@ def unreached(
         )
         inside = sorted(name for name, at in placement.items() if at == computer)
         other = heard_by.get(computer)
-        if inside and other:
-            go_on = f"{_clause(inside, 'keep')} running"
-            sentences[computer] += f"; '{other}' still reaches it: {go_on}"
+        how = f"'{other}' still reaches it" if other else ""
+        if computer in heard:
+            how = "it still sends heartbeats (UDP), but accepts no connection (TCP)"
+        if inside and how:
+            sentences[computer] += f"; {how}: {_clause(inside, 'keep')} running"
             continue
         stop = [name for name in inside if name in leased]
         stay = ", ".join(name for name in inside if name not in leased)

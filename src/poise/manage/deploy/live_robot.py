@@ -154,6 +154,9 @@ class LiveRobot(DesiredState):
         names = " or ".join(f"'{name}'" for name in sorted(lost))
         deadline = self.clock.now() + LEASES_END_WITHIN
         while not self.agents.revoke(lost):
+            if heard := sorted(filter(self.agents.heartbeats.is_heard, lost)):
+                text = f"heartbeats still come from {' and '.join(map(repr, heard))}"
+                raise RunError(text)
             if self.agents.wait_news(is_back, _LOOK_EVERY):
                 raise RunError(f"{names} is reached again")
             if self.clock.now() > deadline:
@@ -186,10 +189,12 @@ class LiveRobot(DesiredState):
     def unreached(self) -> dict[str, str]:
         """Return what is known of each computer that is out of reach, in words."""
         out_of_reach = self.agents.out_of_reach()
-        heard_by = {
-            name: self.agents.heartbeats.heard_by(name) for name in out_of_reach
-        }
-        return unreached(out_of_reach, self.placement(), heard_by, self.layout.leased)
+        heartbeats = self.agents.heartbeats
+        heard_by = {name: heartbeats.heard_by(name) for name in out_of_reach}
+        heard = set(filter(heartbeats.is_heard, out_of_reach))
+        return unreached(
+            out_of_reach, self.placement(), heard, heard_by, self.layout.leased
+        )
 
     def cancel(self) -> None:
         """End what waits for agents: a change of the placement is rolled back."""

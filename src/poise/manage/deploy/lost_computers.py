@@ -87,6 +87,7 @@ class LostComputers:
             name
             for name in sorted(away)
             if not agents.heartbeats.heard_by(name)
+            and not agents.heartbeats.is_heard(name)
             and agents.ends_soon(name)
             and not self._is_replaced(name)
         )
