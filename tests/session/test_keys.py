@@ -70,6 +70,23 @@ def test_keys_that_are_no_good_renew_nothing(
     assert own.latest() is not before
 
 
+def test_heartbeats_are_heard_throughout_a_rotation(authority: Authority) -> None:
+    """A manager that went on heard none of agents that had the next keys."""
+    manager = Credentials(authority.folder)
+    left = issue(authority)
+    for _ in range(6):
+        assert manager.verified(left.sign(b"beat")) == b"beat"
+        authority.rotate()
+        authority.issue("owner", "manager", authority.folder)
+        left = issue(authority)
+        assert manager.verified(b"that somebody else has sent") is None
+        assert manager.verified(left.sign(b"beat")) == b"beat"
+        assert left.verified(manager.sign(b"beat")) == b"beat"
+    (authority.folder / HEARTBEATS).write_text("a part of it")
+    assert manager.verified(b"of somebody else") is None
+    assert manager.verified(left.sign(b"beat")) == b"beat"
+
+
 def test_keys_end_with_their_authority(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -46,6 +46,7 @@ class Credentials:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
+        self._renewed: tuple[tuple[int, int], Sequence[bytes]] = (0, 0), ()
         self._raise_if_missing(*FILES)
         if (folder / PRIVATE_KEY).stat().st_mode & _PRIVATE:
             raise UsageError(
@@ -172,9 +173,26 @@ class Credentials:
 
     def verified(self, signed: bytes) -> bytes | None:
         """Return what `sign` was given; None when another key signed it."""
-        tag, data = signed[:TAG_SIZE], signed[TAG_SIZE:]
-        is_ours = any(hmac.compare_digest(tag, _mac(data, k)) for k in self.signing)
-        return data if is_ours else None
+        # a manager goes on while its robot's keys are rotated, and then signs with
+        # those that the others sign with
+        if not _is_signed(signed, self.signing[:1]):
+            renewed = self._renewed_signing()
+            if _is_signed(signed, renewed):
+                self.signing = renewed
+            elif not _is_signed(signed, self.signing):
+                return None
+        return signed[TAG_SIZE:]
+
+    def _renewed_signing(self) -> Sequence[bytes]:
+        """Return the keys of heartbeats that are in the file now."""
+        path = self.folder / HEARTBEATS
+        try:
+            file = _identity(path)
+            if file != self._renewed[0]:
+                self._renewed = file, _hex_keys(path)
+        except (RunError, OSError):  # they are just being written, say
+            return []
+        return self._renewed[1]
 
     @cached_property
     def _decoded(self) -> dict[str, Any]:
@@ -202,6 +220,11 @@ class Credentials:
 def role_of(peer: Mapping[str, Any] | None) -> str:
     """Return the role in a peer's certificate, as `SSLSocket.getpeercert` gives it."""
     return _subject(peer or {}).get("commonName", "")
+
+
+def _is_signed(signed: bytes, keys: Sequence[bytes]) -> bool:
+    tag, data = signed[:TAG_SIZE], signed[TAG_SIZE:]
+    return any(hmac.compare_digest(tag, _mac(data, key)) for key in keys)
 
 
 def _mac(data: bytes, key: bytes) -> bytes:
@@ -232,7 +255,7 @@ class RenewableKeys:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._files = _identities(folder)
+        self._files = [_identity(folder / name) for name in FILES]
         self._keys = Credentials(folder)
         self._keys.load()
         self._robot = self._keys.robot
@@ -240,7 +263,7 @@ class RenewableKeys:
     def latest(self) -> Credentials:
         """Return the keys; any thread may ask."""
         with contextlib.suppress(PoiseError, OSError):
-            files = _identities(self._folder)
+            files = [_identity(self._folder / name) for name in FILES]
             if files != self._files:
                 renewed = Credentials(self._folder)
                 renewed.check(self._robot, "agent")
@@ -249,10 +272,10 @@ class RenewableKeys:
         return self._keys
 
 
-def _identities(folder: Path) -> list[tuple[int, int]]:
-    """Return what changes when keys are renewed."""
-    files = [(folder / name).stat() for name in FILES]
-    return [(file.st_ino, file.st_mtime_ns) for file in files]
+def _identity(path: Path) -> tuple[int, int]:
+    """Return what changes when another file takes a file's place."""
+    file = path.stat()
+    return file.st_ino, file.st_mtime_ns
 
 
 def folders(robot: str) -> list[Path]:
