@@ -27,6 +27,7 @@ from poise.decoding import msgpack_decoder
 from poise.endpoint import Endpoint
 from poise.priority import go_first
 from poise.wire.codec import MALFORMED
+from poise.wire.host_names import HostNames
 from poise.wire.records.heartbeat_records import MANAGER, Echo, Heartbeat, LinkQuality
 
 if TYPE_CHECKING:
@@ -288,6 +289,7 @@ class UdpDatagrams:
             _ = keys.signing  # here, and on no thread, damaged ones are told
         family = socket.AF_INET6 if is_ipv6 else socket.AF_INET
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
+        self._names = HostNames(family)
         if listen is not None:
             try:
                 self._socket.bind((listen.host, listen.port))
@@ -321,16 +323,21 @@ class UdpDatagrams:
         return received
 
     def send(self, beat: Heartbeat, targets: Iterable[Address]) -> None:
-        """Send a heartbeat to all targets; the silence says which link is cut."""
+        """Send a heartbeat to all targets; the silence says which link is cut.
+
+        Those whose names have not been looked up yet get the next one.
+        """
         data = msgspec.msgpack.encode(beat)
         if self._keys is not None:
             data = self._keys.sign(data)
-        for address in targets:
-            with contextlib.suppress(OSError):
-                self._socket.sendto(data, address)
+        for host, port in targets:
+            if address := self._names.find(host):
+                with contextlib.suppress(OSError):
+                    self._socket.sendto(data, (address, port))
 
     def close(self) -> None:
         """Close the socket."""
+        self._names.close()
         self._socket.close()
 
     def _read(self, data: bytes, source: str) -> Heartbeat | None:
