@@ -1,4 +1,4 @@
-"""The folders of the user that a program runs as."""
+"""The folders of the user that a program runs as, and files for this user alone."""
 
 from __future__ import annotations
 
@@ -19,3 +19,9 @@ def temporary_folder() -> Path:
     named = os.environ.get("TMPDIR", "")
     is_usable = os.access(named, os.W_OK | os.X_OK)
     return Path(named if is_usable else "/tmp")  # noqa: S108 - callers check owner and mode
+
+
+def write_private(path: Path, data: bytes) -> None:
+    """Write a file that, if it is new, nobody else can read."""
+    with open(path, "wb", opener=lambda name, flags: os.open(name, flags, 0o600)) as to:
+        to.write(data)

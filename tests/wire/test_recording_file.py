@@ -24,6 +24,12 @@ def test_a_damaged_recording_is_refused_in_words(tmp_path: Path) -> None:
         inputs_of(path)
 
 
+def test_nobody_else_can_read_a_recording(tmp_path: Path) -> None:
+    path = tmp_path / "it.mcap"
+    write_recording(path, "r", INPUTS)
+    assert path.stat().st_mode & 0o77 == 0
+
+
 def test_whatever_a_file_holds_poise_says_it_by_its_own_errors(tmp_path: Path) -> None:
     path, random = tmp_path / "it.mcap", Random(7)
     write_recording(path, "r", INPUTS)

@@ -100,7 +100,8 @@ class McapFile:
         self._schemas: dict[bytes, int] = {}
         self._lock = threading.Lock()
         try:
-            self._file = path.open("wb" if replaces else "xb")
+            flags = os.O_WRONLY | os.O_CREAT | (os.O_TRUNC if replaces else os.O_EXCL)
+            self._file = os.fdopen(os.open(path, flags, 0o600), "wb")
         except OSError as error:
             raise UsageError(f"{path} cannot be created: {error.strerror}") from error
         self._writer = writer.Writer(self._file, _CHUNK, use_chunking=not at_once)

@@ -135,6 +135,16 @@ def test_only_the_checkpoints_of_what_ended_are_removed(
     assert checkpoint_path(tmp_path, "plan", 1).exists()
 
 
+def test_nobody_else_can_read_what_an_agent_keeps(tmp_path: Path) -> None:
+    """Whoever made the folder may have let others into it."""
+    folder = AgentFolder(tmp_path)
+    folder.keep(AgentState(wanted=WANTED))
+    CheckpointFiles(tmp_path, lambda _: None).write(COPY)
+    kept = [path for path in tmp_path.iterdir() if path.is_file()]
+    assert len(kept) == 3
+    assert not any(path.stat().st_mode & 0o77 for path in kept)
+
+
 def test_a_checkpoint_that_has_no_room_is_not_there_in_part(tmp_path: Path) -> None:
     files = CheckpointFiles(tmp_path, lambda _: None)
     before = resource.getrlimit(resource.RLIMIT_FSIZE)

@@ -24,6 +24,7 @@ from poise.errors import RunError, UsageError
 from poise.runtime.agent.surroundings import AgentState, Reply
 from poise.runtime.container.account import Account, rights_of
 from poise.runtime.hosting.output import forget_output, read_output
+from poise.user_folders import write_private
 from poise.wire.codec import MALFORMED
 from poise.wire.records.deployment_records import Deployment
 from poise.wire.records.request_records import (
@@ -84,7 +85,7 @@ class AgentFolder:
             return
         new = self._path.with_suffix(".new")
         try:
-            new.write_bytes(msgspec.msgpack.encode(state))
+            write_private(new, msgspec.msgpack.encode(state))
             new.replace(self._path)
         except OSError as error:
             self._saved = AgentState()
@@ -189,7 +190,7 @@ class CheckpointFiles:
         path = checkpoint_path(self._folder, copy.component, copy.epoch)
         draft = path.with_suffix(".new")
         try:
-            draft.write_bytes(copy.data or b"")
+            write_private(draft, copy.data or b"")
             set_age(draft, copy.age)
             draft.replace(path)
         finally:

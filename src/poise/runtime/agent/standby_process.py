@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from msgspec.msgpack import encode
 
+from poise.user_folders import write_private
 from poise.wire.address import KEYS
 from poise.wire.records.request_records import Claim
 
@@ -59,7 +60,7 @@ class StandbyProcess:
         robot = claim.agents, claim.election  # all that a standby looks at
         if robot != self._written:
             draft = self._path.with_suffix(".new")
-            draft.write_bytes(encode(claim))
+            write_private(draft, encode(claim))
             draft.replace(self._path)
             self._written = robot
         if self._process is None or has_ended:

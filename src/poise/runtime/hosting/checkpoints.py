@@ -19,6 +19,7 @@ from poise.runtime.component.component import Component
 from poise.runtime.connectors.latest import LatestMessages
 from poise.runtime.execution.container_lease import LeaseEnd, check_lease
 from poise.runtime.migration.state_check import check_fits, describe_type, type_taken_by
+from poise.user_folders import write_private
 from poise.wire import frame
 from poise.wire.codec import Codec, WireError, codec
 from poise.wire.frame import FrameKind
@@ -113,7 +114,7 @@ class Checkpoints:
     def _replace(self, data: bytes) -> None:
         new = self._path.with_suffix(".new")
         try:
-            new.write_bytes(data)
+            write_private(new, data)
             set_age(new)
             new.replace(self._path)
         finally:
