@@ -78,6 +78,10 @@ class Credentials:
         """The folder of a computer's keys to lead its robot with, if it may."""
         return self.folder / "leads"
 
+    def leading(self) -> Credentials:
+        """Return the keys in `to_lead`; UsageError or RunError: they are no good."""
+        return Credentials(self.to_lead).check(self.robot, "manager")
+
     @property
     def robot(self) -> str:
         """The robot whose authority signed it."""

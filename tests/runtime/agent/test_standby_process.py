@@ -13,6 +13,8 @@ from msgspec.structs import replace
 
 from poise.runtime.agent import standby_process
 from poise.runtime.agent.standby_process import StandbyProcess
+from poise.session.keys import init_keys
+from poise.wire.credentials import CERTIFICATE
 from poise.wire.records.request_records import Claim, ManagerId
 
 MANAGER = ManagerId(key="k", user="u", host="h", pid=1, since=0.0)
@@ -80,6 +82,30 @@ def test_what_hinders_one_from_waiting_is_told_until_it_waits(
         assert "File too large" in standby.notice()
     standby.keep(Claim(manager=MANAGER))
     assert standby.notice() == ""
+    process = standby._process
+    assert process is not None
+    process.communicate()
+
+
+@pytest.mark.slow
+def test_keys_with_which_it_cannot_lead_are_told_before_it_must(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The robot got no leader when it needed one, and status had said nothing."""
+    monkeypatch.setattr(standby_process, "_COMMAND", ("sh", "-c", "read word"))
+    authority = init_keys("hello", tmp_path / "owner")
+    keys = authority.issue("left", "agent", tmp_path / "keys")
+    standby = StandbyProcess("left", tmp_path, keys)
+    assert not standby.notice()  # nobody asked for one
+    authority.issue("left", "manager", keys.to_lead)
+    standby.keep(Claim(manager=MANAGER))
+    assert not standby.notice()
+    authority.issue("left", "manager", keys.to_lead, days=3)
+    assert "manager left ends in 3.0 days" in standby.notice()
+    (keys.to_lead / CERTIFICATE).write_text("a part of it")
+    assert "the standby here cannot lead" in standby.notice()
+    authority.issue("left", "agent", keys.to_lead)
+    assert "they must be of manager" in standby.notice()
     process = standby._process
     assert process is not None
     process.communicate()

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from msgspec.msgpack import encode
 
+from poise.errors import PoiseError
 from poise.user_folders import write_private
 from poise.wire.address import KEYS
 from poise.wire.records.request_records import Claim
@@ -34,7 +35,7 @@ class StandbyProcess:
 
     def __init__(self, computer: str, folder: Path, keys: Credentials | None) -> None:
         self._computer = computer
-        self._keys = keys.to_lead if keys is not None else None
+        self._keys = keys
         self._path = folder / "claim"
         self._kept: Claim | None = None
         self._failure = ""
@@ -47,7 +48,7 @@ class StandbyProcess:
         if claim == self._kept and not has_ended:
             return
         self._kept, self._failure = claim, ""
-        if claim is None or self.notice():
+        if claim is None or not self._has_keys():
             self._tell(b"end\n")
             return
         try:
@@ -68,19 +69,28 @@ class StandbyProcess:
                 [*_COMMAND, self._computer, "--claim", str(self._path)],
                 stdin=subprocess.PIPE,
                 start_new_session=True,
-                env={**os.environ, KEYS: str(self._keys or "")},
+                env={**os.environ, KEYS: str(self._keys.to_lead) if self._keys else ""},
             )
 
     def notice(self) -> str:
-        """Return why none can lead from here that was asked to; empty: it could."""
-        if self._failure:
+        """Return why none can lead from here that was asked to; empty: it could.
+
+        Or why it soon cannot.
+        """
+        if self._failure or self._kept is None or self._keys is None:
             return self._failure
-        if self._kept is None or self._keys is None or self._keys.is_dir():
-            return ""
-        return (
-            f"no standby waits here, for it has no keys to lead with in {self._keys}: "
-            "`poise keys issue --leads` makes them"
-        )
+        if not self._has_keys():
+            return (
+                "no standby waits here, for it has no keys to lead with in "
+                f"{self._keys.to_lead}: `poise keys issue --leads` makes them"
+            )
+        try:
+            return self._keys.leading().warning()
+        except (PoiseError, OSError) as error:
+            return f"the standby here cannot lead: {error}"
+
+    def _has_keys(self) -> bool:
+        return self._keys is None or self._keys.to_lead.is_dir()
 
     def lead(self) -> None:
         """Let it become the leader, if it can; harmless while it does."""
