@@ -49,6 +49,14 @@ def test_what_a_background_load_takes_away_makes_a_component_move(
     )
 
 
+def test_nothing_moves_to_a_computer_that_the_manager_does_not_reach(
+    situation: Make,
+) -> None:
+    """What runs there goes on, for another agent hears it."""
+    seen = situation(background={"left": 0.2})
+    assert not decide(replace(seen, away=frozenset({"right"}))).acts
+
+
 def test_a_move_that_paused_its_component_for_long_is_not_worth_it(
     situation: Make,
 ) -> None:

@@ -41,6 +41,15 @@ def test_what_may_run_elsewhere_begins_again_there(situation: Make, two: Robot) 
     assert not found.missing
 
 
+def test_nothing_begins_again_where_the_manager_reaches_nothing(
+    situation: Make,
+) -> None:
+    seen = replace(situation(APART), away=frozenset({"left", "right"}))
+    found = plan_failover(seen, {"left"})
+    assert found.placement == {}
+    assert found.missing.keys() == {"a"}
+
+
 def test_nothing_moves_when_nothing_ran_there(situation: Make) -> None:
     found = plan_failover(situation({"a": "left", "b": "left"}), {"right"})
     assert found.placement == {}

@@ -25,9 +25,10 @@ class Returning(Robbed):
         robot = replace(robot, architectures=free)
         super().__init__(robot, BOTH)
         self.now, self.lost = 0.0, frozenset({"right"})
+        self.away: frozenset[str] = frozenset()
         self.loop = Adaptation(
             self.run,
-            lambda: replace(self.situation(), lost=self.lost, loads={}),
+            lambda: replace(self.situation(), lost=self.lost, away=self.away, loads={}),
             self.suspensions,
             clock=lambda: self.now,
         )
@@ -60,6 +61,17 @@ def test_what_runs_well_is_not_disturbed() -> None:
     assert back.said() == [
         "'right' may be used again; every running component has the CPU that it needs"
     ]
+
+
+def test_what_is_out_of_reach_is_not_back() -> None:
+    """Its heartbeats come again, and its agent cannot be asked."""
+    back = Returning(cpu=1.0)
+    back.away = frozenset({"right"})
+    back.look(1.0 + CALM)
+    assert back.said() == []
+    back.away = frozenset()
+    back.look(2.0 + CALM)
+    assert len(back.said()) == 1
 
 
 def test_what_restarts_without_the_state_that_was_to_be_kept_is_said() -> None:

@@ -128,7 +128,7 @@ def plan_failover(
     homes: dict[str, tuple[str, ...]] = {}
     works = {n: at for n, at in situation.placement.items() if at not in lost}
     for name in situation.placement:
-        choices = tuple(sorted(allowed[name] - set(lost)))
+        choices = tuple(sorted(allowed[name] - set(lost) - situation.away))
         if name in works:
             stays = name in pinned or name in stuck or works[name] not in choices
             homes[name] = (works[name],) if stays else choices
@@ -149,8 +149,10 @@ def plan_failover(
         then = works if has_room else {name: result.placement[name] for name in works}
         # no way leads over what is lost, or there is none
         with contextlib.suppress(RobotError):
-            robot = situation.of_running_components().robot
-            steps = plan_transition(robot, works, then, shares_cpu=True)
+            reached = situation.of_running_components()
+            now = {n: at for n, at in works.items() if n in reached.placement}
+            then = {n: then[n] for n in now}
+            steps = plan_transition(reached.robot, now, then, shares_cpu=True)
             return FailoverPlan(placement=where, missing=missing, steps=steps)
     kept = {name: (at,) for name, at in works.items()}
     wanted = {name: homes[name] for name in stranded}
@@ -368,12 +370,13 @@ class UseAgainResponder:
     def respond(self, situation: Situation, _desired: Desired) -> Change | None:
         """Return a transition that uses what is back, if that is worth it."""
         limits, now = self._transitions.limits, situation.now
-        self._back |= dict.fromkeys(sorted(self._lost - situation.lost), now)
-        self._lost = situation.lost
+        gone = situation.lost | situation.away
+        self._back |= dict.fromkeys(sorted(self._lost - gone), now)
+        self._lost = situation.lost | self._lost & gone
         back = [
             name
             for name, at in self._back.items()
-            if now - at >= CALM and name not in situation.lost
+            if now - at >= CALM and name not in gone
         ]
         if not back or situation.about("replan") or limits.is_backing_off(now):
             return None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from functools import cached_property
 from typing import Protocol
 
@@ -41,7 +41,9 @@ class Situation(Struct, frozen=True, kw_only=True, dict=True):
     robot: Robot  # with the demands that it was placed by
     task: str
     placement: Mapping[str, str]  # component -> computer
-    lost: frozenset[str] = frozenset()  # the computers that are out of reach
+    lost: frozenset[str] = frozenset()  # the computers that nobody hears
+    # those out of reach of the manager, also where components go on
+    away: frozenset[str] = frozenset()
     loads: Mapping[str, Load] = {}  # computer -> its CPU use lately, where it is known
     misses: tuple[TimerValues, ...] = ()
     chains: tuple[ChainAge, ...] = ()
@@ -69,24 +71,28 @@ class Situation(Struct, frozen=True, kw_only=True, dict=True):
         return [each for each in estimates if each.component in self.placement]
 
     def within_reach(self) -> Situation:
-        """Return the same without what is out of reach: nothing moves from or to it."""
-        if not self.lost:
-            return self
-        lost = self.lost
-        return replace(
-            self,
-            robot=self.robot.on(c for c in self.robot.computers if c.name not in lost),
-            placement={n: at for n, at in self.placement.items() if at not in lost},
-        )
+        """Return the same without what is lost."""
+        return self._without(self.lost) if self.lost else self
 
     def of_running_components(self) -> Situation:
-        """Return the same without what is out of reach, and what runs nowhere else."""
-        here = self.within_reach()
-        if not self.lost:
-            return here
+        """Return the same without what is out of reach, and what runs nowhere else.
+
+        Nothing moves from or to what is out of reach.
+        """
+        gone = self.lost | self.away
+        if not gone:
+            return self
+        here = self._without(gone)
         runs = here.placement.keys()
         robot = here.robot.with_components(lambda c: c if c.name in runs else None)
         return replace(here, robot=robot)
+
+    def _without(self, gone: Collection[str]) -> Situation:
+        return replace(
+            self,
+            robot=self.robot.on(c for c in self.robot.computers if c.name not in gone),
+            placement={n: at for n, at in self.placement.items() if at not in gone},
+        )
 
     def left(self) -> Situation:
         """Return the same with what other programs leave of the computers' CPU."""
@@ -175,6 +181,7 @@ class SituationReader:
             task=task.name,
             placement=placement,
             lost=self._lost.computers(),
+            away=frozenset(live.agents.out_of_reach()),
             loads=self._estimates.loads.loads(),
             misses=self._misses.measure(statuses, moment),
             chains=self._ages.measure(self._chains.reports(statuses), moment),
