@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
+from poise.manage.agent_connections.statuses import not_joined
 from poise.manage.deploy.deployment_layout import DeploymentLayout
 from poise.manage.deploy.desired import Incarnation
 from poise.manage.observe.deviations import (
@@ -126,6 +127,30 @@ def test_names_a_connector_that_is_not_joined(
     assert len(found) == count
     for each in found:
         assert each.what == "connector 'eye.x-mind.x' from 'a' does not reach 'a'"
+
+
+def test_where_another_computer_is_to_be_reached_is_said(robot: Robot) -> None:
+    """A firewall lets the gateway's port through, or not."""
+    joined = replace(robot, connectors=(JOINED,))
+    end = ConnectorStatus(
+        name="eye.x-mind.x", key="x/0.0", kind="remote", end="source", ready=False
+    )
+    container = ContainerStatus(name="see", pid=7, components=(), connectors=(end,))
+    here = AgentStatus(
+        computer="a", generation=1, uptime=9.0, cpu=0.0, containers=(container,)
+    )
+    there = AgentStatus(
+        computer="b", generation=1, uptime=9.0, cpu=0.0, gateway="10.0.0.2:7448"
+    )
+    settled = [
+        Incarnation(component=name, computer=at, goal="active")
+        for name, at in (("eye", "a"), ("mind", "b"))
+    ]
+    statuses, layout = {"a": here, "b": there}, DeploymentLayout(joined, "")
+    what = "connector 'eye.x-mind.x' from 'a' does not reach 'b' at 10.0.0.2:7448 (TCP)"
+    (found,) = (each for _, each in find_unjoined(settled, layout, statuses, 5.0))
+    assert found.what == what
+    assert not_joined(statuses, {"x/0.0": ("a", "b")}) == [what]
 
 
 def test_an_error_of_an_agents_own_code_is_shown_with_its_part(robot: Robot) -> None:

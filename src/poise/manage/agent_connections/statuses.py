@@ -103,13 +103,26 @@ def not_at_goals(
     return found
 
 
-def not_joined(statuses: Statuses, keys: Collection[str]) -> list[str]:
-    """Return which of some connectors are not joined at an end, in words."""
-    return [
-        f"connector '{connector.name}' is not joined"
+def not_joined(statuses: Statuses, between: Mapping[str, tuple[str, str]]) -> list[str]:
+    """Return which connectors are not joined at an end, in words.
+
+    `between`: the keys of those that should be -> the computers of their two ends.
+    """
+    sentences = [
+        unjoined(connector.name, *between[connector.key], statuses)
         for connector in connectors_of(statuses)
-        if not connector.ready and connector.key in keys
+        if not connector.ready and connector.key in between
     ]
+    return [*dict.fromkeys(sentences)]
+
+
+def unjoined(name: str, source: str, target: str, statuses: Statuses) -> str:
+    """Return which connector is not joined, and where that can be looked into."""
+    what = f"connector '{name}' from '{source}' does not reach '{target}'"
+    status = statuses.get(target)
+    if source == target or status is None or not status.gateway:
+        return what
+    return f"{what} at {status.gateway} (TCP)"
 
 
 def containers_left(statuses: Statuses, computers: Iterable[str]) -> list[str]:

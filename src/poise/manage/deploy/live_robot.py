@@ -347,8 +347,11 @@ class LiveRobot(DesiredState):
         faults = faults_after(self._faults_before_commit, statuses) if unmet else ()
         return [*unmet, *combined(faults)]
 
-    def _joins(self, wanted: Iterable[Incarnation]) -> set[str]:
-        """Return the keys of the connectors of incarnations that reach each other."""
+    def _joins(self, wanted: Iterable[Incarnation]) -> dict[str, tuple[str, str]]:
+        """Return the connectors of incarnations that reach each other.
+
+        Key -> the computers of its two ends.
+        """
         new = {
             incarnation.component: incarnation
             for incarnation in wanted
@@ -356,11 +359,14 @@ class LiveRobot(DesiredState):
         }
         placed = {**self.placed, **new}
         unreached = self.unreached_connectors(placed)
-        return {
-            self.layout.key_of(connector, placed)
-            for connector in self.layout.connectors_at(new, placed)
-            if str(connector) not in unreached
-        }
+        joins = {}
+        for connector in self.layout.connectors_at(new, placed):
+            if str(connector) not in unreached:
+                source, target = (
+                    placed[e.component].computer for e in connector.between
+                )
+                joins[self.layout.key_of(connector, placed)] = source, target
+        return joins
 
     def unreached_connectors(self, placed: Mapping[str, Incarnation]) -> dict[str, str]:
         """Return the connectors whose ends do not reach each other, and why."""

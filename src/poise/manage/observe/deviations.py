@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from msgspec import Struct
 
 from poise.errors import last_error
-from poise.manage.agent_connections.statuses import Statuses, connectors_of
+from poise.manage.agent_connections.statuses import Statuses, connectors_of, unjoined
 from poise.wire.records.status_records import (
     AgentStatus,
     ComponentStatus,
@@ -121,7 +121,7 @@ def find_unjoined(
     for connector in layout.connectors(computers):
         if (name := connector.name) in unready:
             source, target = (computers[end.component] for end in connector.between)
-            what = f"connector '{name}' from '{source}' does not reach '{target}'"
+            what = unjoined(name, source, target, statuses)
             yield name, Deviation(what=what, computer=source, since=now)
 
 
