@@ -158,6 +158,8 @@ def log_command(
             silent = reading.silent
             said = f"no answer from {', '.join(silent)}" if silent else "all answer"
             sys.stderr.write(f"# {said}\n")
+    if silent:  # what was written there may be what was looked for
+        raise typer.Exit(1)
 
 
 def _log_line(line: OutputLine, *, as_json: bool) -> str:
