@@ -2,9 +2,17 @@
 
 from __future__ import annotations
 
+from unittest.mock import Mock
+
+import pytest
 from msgspec.structs import replace
 
-from poise.manage.control_socket.agents_without_manager import status_by_agents
+from poise.manage.control_socket import agents_without_manager
+from poise.manage.control_socket.agents_without_manager import (
+    NoManager,
+    ask_agents,
+    status_by_agents,
+)
 from poise.wire.records.request_records import ManagerId
 from poise.wire.records.status_records import (
     AgentStatus,
@@ -52,6 +60,33 @@ def test_a_robot_of_which_nothing_runs_is_not_there() -> None:
     assert status_by_agents(AGENTS, {}, NOW) is None
     idle = {"main": agent("main", 80.0), "eye": agent("eye", 80.0)}
     assert status_by_agents(AGENTS, idle, NOW) is None
+
+
+@pytest.mark.parametrize("silent", ["eye", ""])
+def test_whether_it_runs_is_not_known_while_one_is_silent(
+    monkeypatch: pytest.MonkeyPatch, silent: str
+) -> None:
+    """The others run nothing; it was said not to run then."""
+    statuses = {name: agent(name, 80.0) for name in AGENTS.endpoints.keys() - {silent}}
+    reports = Mock(
+        **{"reached.return_value": set(statuses), "statuses.return_value": statuses}
+    )
+    for name, value in (
+        ("AgentReports", lambda *_: reports),
+        ("open_session", Mock()),
+        ("_listens", lambda _: True),
+    ):
+        monkeypatch.setattr(agents_without_manager, name, value)
+    assert ask_agents(AGENTS) is None
+    if not silent:
+        assert ask_agents(AGENTS, wants_all=True) is None
+        return
+    why = (
+        r"whether robot 'r' runs is not known: 'eye' \(10\.0\.0\.2:7447\) gave no "
+        r"answer within 2 s; nothing runs on main"
+    )
+    with pytest.raises(NoManager, match=why):
+        ask_agents(AGENTS, wants_all=True)
 
 
 def test_one_whose_next_leader_starts_everything_is_there() -> None:

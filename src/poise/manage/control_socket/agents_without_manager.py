@@ -70,15 +70,19 @@ def _answer(addresses: AgentAddresses) -> RobotStatus | None:
         return None
 
 
-def ask_agents(addresses: AgentAddresses, why: str = "") -> RobotStatus | None:
+def ask_agents(
+    addresses: AgentAddresses, why: str = "", *, wants_all: bool = False
+) -> RobotStatus | None:
     """Return what the agents of a robot say; None: none says that something runs.
 
     `why`: why the manager does not answer, and the way out; empty: it is gone.
+    `wants_all`: where others run nothing, what a silent one runs matters, too.
 
     Raises
     ------
     NoManager
-        Something listens where they are, and none answers: nothing is known.
+        Something listens where they are, and none answers, or not all that are wanted:
+        it is not known whether the robot runs.
     """
     with ThreadPoolExecutor(_MOST_AT_ONCE) as pool:
         if not any(pool.map(_listens, addresses.endpoints.values())):
@@ -96,7 +100,20 @@ def ask_agents(addresses: AgentAddresses, why: str = "") -> RobotStatus | None:
     if not reports.reached() and not why:
         _raise_if_refused(addresses, keys)
     found = status_by_agents(addresses, reports.statuses(), wall_time(), why)
+    reached = reports.reached()
+    if found is None and wants_all and reached and reached != endpoints.keys():
+        raise NoManager(_why_not_known(addresses, reached), status=None)
     return found and replace(found, ages=reports.ages())
+
+
+def _why_not_known(addresses: AgentAddresses, reached: Collection[str]) -> str:
+    silent = sorted(addresses.endpoints.keys() - set(reached))
+    where = [f"'{name}' ({endpoint_of(addresses.endpoints[name])})" for name in silent]
+    return (
+        f"whether robot '{addresses.robot}' runs is not known: {', '.join(where)} gave "
+        f"no answer within {AGENT_LIMIT:g} s; nothing runs on "
+        f"{', '.join(sorted(reached))}"
+    )
 
 
 def _raise_if_refused(addresses: AgentAddresses, keys: Credentials | None) -> None:

@@ -31,10 +31,10 @@ def status_without_manager(robot: Robot) -> RobotStatus:
     UsageError
         Its computers have no addresses, and none are kept for it.
     RunError
-        No agent says that something runs, or why none answers.
+        No agent says that something runs, or why that is not known.
     """
     addresses = _addresses(robot, "viewer")
-    status = ask_agents(addresses)
+    status = ask_agents(addresses, wants_all=True)
     if status is None:
         places = ", ".join(str(endpoint_of(e)) for e in addresses.endpoints.values())
         raise RunError(
