@@ -101,6 +101,7 @@ class FakeAgents:
         self.election: Election | None = None
         self.stored: Deployment | None = None
         self.checkpoints = CheckpointCopies()
+        self.own_keys = None
         self.heartbeats = self
         self.gone: set[str] = set()
         self.lasting: set[str] = set()

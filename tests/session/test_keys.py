@@ -54,6 +54,19 @@ def test_a_process_that_goes_on_gets_renewed_keys(authority: Authority) -> None:
     assert own.latest().expires == renewed.expires
 
 
+def test_a_process_says_that_its_keys_have_ended_until_they_are_renewed(
+    authority: Authority,
+) -> None:
+    """The manager said only that all computers accept no connection."""
+    own = RenewableKeys(issue(authority, days=3).folder)
+    assert not own.trouble
+    assert own.latest().warning()
+    ended = RenewableKeys(issue(authority, days=-0.01).folder)
+    assert "the certificate of agent left has ended" in ended.trouble
+    issue(authority)
+    assert not ended.trouble
+
+
 def test_keys_that_are_no_good_renew_nothing(
     authority: Authority, tmp_path: Path
 ) -> None:

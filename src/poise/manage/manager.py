@@ -117,8 +117,9 @@ class Manager:
         self._stopping = threading.Event()
         self._why_over = ""
         self._watch = Watch(live)
+        others = samples, recording, live.agents.own_keys
         self._troubles = ManagerTroubles(
-            live.journal, others=(samples, *([recording] if recording else []))
+            live.journal, others=[each for each in others if each is not None]
         )
         self.failures = ThreadFailures(live.journal)
         self._lost = LostComputers(live)

@@ -17,7 +17,7 @@ from datetime import UTC, datetime
 from functools import cached_property
 from hashlib import blake2s
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 from poise.clock import wall_time
 from poise.errors import PoiseError, RunError, UsageError
@@ -251,7 +251,7 @@ def _subject(decoded: Mapping[str, Any]) -> dict[str, str]:
 
 
 class RenewableKeys:
-    """The keys of a container, which may outlive them: those in its folder are renewed.
+    """The keys of a process that may outlive them: those in its folder are renewed.
 
     It goes on with those that it has where new ones are damaged, not yet there as a
     whole, not its robot's, or not for it to read.
@@ -262,7 +262,7 @@ class RenewableKeys:
         self._files = [_identity(folder / name) for name in FILES]
         self._keys = Credentials(folder)
         self._keys.load()
-        self._robot = self._keys.robot
+        self._robot, self._role = self._keys.robot, self._keys.role
 
     def latest(self) -> Credentials:
         """Return the keys; any thread may ask."""
@@ -270,10 +270,16 @@ class RenewableKeys:
             files = [_identity(self._folder / name) for name in FILES]
             if files != self._files:
                 renewed = Credentials(self._folder)
-                renewed.check(self._robot, "agent")
+                renewed.check(self._robot, cast("Role", self._role))
                 renewed.load()
                 self._files, self._keys = files, renewed
         return self._keys
+
+    @property
+    def trouble(self) -> str:
+        """Why nobody accepts the certificate now; empty: it holds."""
+        keys = self.latest()
+        return "" if keys.begins <= wall_time() < keys.expires else keys.warning()
 
 
 def _identity(path: Path) -> tuple[int, int]:

@@ -62,7 +62,7 @@ from poise.wire.records.request_records import (
 from poise.wire.records.status_records import AgentSample, AgentStatus
 
 if TYPE_CHECKING:
-    from poise.wire.credentials import Credentials
+    from poise.wire.credentials import Credentials, RenewableKeys
 
 
 _LATE = SESSION_TIMEOUT + 1.0
@@ -118,6 +118,7 @@ class Agents(AgentReports):
             datagrams or _datagrams(heard, clock, keys),
             votes=self._claims.votes,
         )
+        self.own_keys = _renewable(keys)
         self.checkpoints = CheckpointCopies()
         with before_components():  # zenoh's threads do nothing but carry messages
             self._session = open_session(
@@ -451,3 +452,11 @@ def _datagrams(
 ) -> UdpDatagrams:
     is_ipv6 = any(":" in endpoint_of(text).host for text in endpoints.values())
     return UdpDatagrams(clock, is_ipv6=is_ipv6, keys=keys)
+
+
+def _renewable(keys: Credentials | None) -> RenewableKeys | None:
+    if keys is None:
+        return None
+    from poise.wire.credentials import RenewableKeys  # noqa: PLC0415, `ssl` is slow
+
+    return RenewableKeys(keys.folder)

@@ -196,6 +196,7 @@ class RobotStatus(Struct, frozen=True, tag=True, kw_only=True):
     # Then `manager` is the last one, `placement` where components are, and what only a
     # manager knows is empty: tasks, demands, capacities, decisions
     by_agents: bool = False
+    notice: str = ""  # what is to be known of the manager, though nothing is wrong
 
     def not_known(self) -> set[str]:
         """Return the computers of which it is not known how they are now."""

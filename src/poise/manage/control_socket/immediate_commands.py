@@ -239,7 +239,14 @@ def status_of(
         loads=estimates.loads.loads(),
         by_ros2=_by_ros2(live),
         traffic=estimates.traffic(),
+        notice=_notice(live),
     )
+
+
+def _notice(live: LiveRobot) -> str:
+    """Return that the manager's own keys end soon; empty: they do not."""
+    keys = live.agents.own_keys
+    return "" if keys is None or keys.trouble else keys.latest().warning()
 
 
 def _by_ros2(live: LiveRobot) -> tuple[str, ...]:

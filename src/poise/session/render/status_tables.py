@@ -187,6 +187,8 @@ def container_lines(answer: RobotStatus) -> Iterator[str]:
 def _notices(answer: RobotStatus) -> Iterator[str]:
     for each in answer.lost_states:
         yield f"{each.what} ({_clock(each.since)})"
+    if answer.notice:
+        yield f"manager: {answer.notice}"
     versions = {report.version for report in answer.computers.values()}
     for name, report in sorted(answer.computers.items()):
         if report.notice:
