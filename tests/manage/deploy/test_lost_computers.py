@@ -182,3 +182,16 @@ def test_a_computer_that_still_sends_heartbeats_goes_on(robot: Robot) -> None:
     agents.lasting_leases.add("right")
     with pytest.raises(RunError, match="heartbeats still come from 'right'"):
         live.revoke_leases({"right"})
+
+
+def test_reports_that_come_without_heartbeats_are_said(
+    robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A firewall drops UDP at the agent's port, and lets TCP through."""
+    agents = FakeAgents("left", "right")
+    live = started(robot, agents)
+    agents.gone.add("right")
+    what = "its reports (TCP) come, but no heartbeats (UDP)"
+    assert what in live.unreached()["right"]
+    monkeypatch.setattr(agents, "ages", lambda: {"right": 2.0})
+    assert what not in live.unreached()["right"]

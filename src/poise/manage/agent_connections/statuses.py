@@ -141,12 +141,13 @@ def unreached(
     placement: Mapping[str, str],
     heard: Collection[str],
     heard_by: Mapping[str, str],
+    reporting: Collection[str],
     leased: Collection[str],
 ) -> dict[str, str]:
     """Return what is known of each computer that is out of reach, in words.
 
     `heard`: those that still send heartbeats; `heard_by`: computer -> another one that
-    still hears it; empty: none does.
+    still hears it; empty: none does; `reporting`: those whose reports still come.
     """
     sentences = {}
     for computer, since in sorted(out_of_reach.items()):
@@ -154,6 +155,8 @@ def unreached(
         sentences[computer] = (
             f"computer '{computer}' has been out of reach since {began}"
         )
+        if computer in reporting:
+            sentences[computer] += "; its reports (TCP) come, but no heartbeats (UDP)"
         inside = sorted(name for name, at in placement.items() if at == computer)
         other = heard_by.get(computer)
         how = f"'{other}' still reaches it" if other else ""

@@ -7,10 +7,11 @@ the agents there. What does run is what they observed.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping
+from math import inf
 
 from msgspec import structs
 
-from poise.clock import Clock
+from poise.clock import Clock, wall_time
 from poise.errors import RunError
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.statuses import (
@@ -46,6 +47,8 @@ ACTIVE_LIMIT = 10.0
 STOP_LIMIT = ENDING_LIMIT + 5.0
 """Containers that were asked to end have ended within this time [s]."""
 _LOOK_EVERY = 0.02
+_REPORTS_WITHIN = 1.0
+"""Agents that are reached report more often [s]."""
 _BACK_WITHIN = 10.0
 """A computer may be out of reach for so long while the robot starts [s]."""
 _CRASHES = 5
@@ -192,8 +195,16 @@ class LiveRobot(DesiredState):
         heartbeats = self.agents.heartbeats
         heard_by = {name: heartbeats.heard_by(name) for name in out_of_reach}
         heard = set(filter(heartbeats.is_heard, out_of_reach))
+        now, ages = wall_time(), self.agents.ages()
+        reporting = {
+            name
+            for name, since in out_of_reach.items()
+            if now - since > 2 * _REPORTS_WITHIN
+            and ages.get(name, inf) < _REPORTS_WITHIN
+        }
+        leased = self.layout.leased
         return unreached(
-            out_of_reach, self.placement(), heard, heard_by, self.layout.leased
+            out_of_reach, self.placement(), heard, heard_by, reporting, leased
         )
 
     def cancel(self) -> None:
