@@ -9,6 +9,7 @@ import pytest
 
 from poise.errors import UsageError
 from poise.session.running_robots import playback
+from poise.session.running_robots.running import Running
 from poise.wire.recording_file import Said
 
 
@@ -16,20 +17,23 @@ def test_nothing_is_played_when_a_port_is_not_in_the_recording(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     published: list[object] = []
+    asked: list[str] = []
 
-    def component(_: str) -> Any:
+    def component(name: str) -> Any:
+        asked.append(name)
         return SimpleNamespace(publish=lambda *what, **_: published.append(what))
 
     said = Said(connector="eye.seen-mind.seen", at=1.0, value=7)
-    monkeypatch.setattr(playback, "said_in", lambda _: iter([said]))
+    monkeypatch.setattr(playback, "said_in", lambda _: iter([said, said]))
     monkeypatch.setattr(
         playback, "connect", lambda _: SimpleNamespace(component=component)
     )
     with pytest.raises(UsageError, match=r"r\.mcap has nothing of eye\.typo"):
         playback.play("r.mcap", only=["eye.seen", "eye.typo"])
     assert not published
-    assert playback.play("r.mcap", only=["eye.seen"]).messages == {"eye.seen": 1}
-    assert published == [("seen", 7)]
+    assert playback.play("r.mcap", only=["eye.seen"]).messages == {"eye.seen": 2}
+    assert published == [("seen", 7), ("seen", 7)]
+    assert asked == ["eye"]  # each time would cost a status of the robot
 
 
 def test_a_recording_without_messages_is_refused(
@@ -37,6 +41,6 @@ def test_a_recording_without_messages_is_refused(
 ) -> None:
     """Such is what `poise record` writes of a robot when it is given no connector."""
     monkeypatch.setattr(playback, "said_in", lambda _: iter(()))
-    monkeypatch.setattr(playback, "connect", lambda _: None)
+    monkeypatch.setattr(playback, "connect", Running)
     with pytest.raises(UsageError, match=r"no message is recorded in r\.mcap: `poise"):
         playback.play("r.mcap")

@@ -17,6 +17,7 @@ from typing import NoReturn
 import pytest
 
 from poise.clock import SystemClock
+from poise.runtime.agent import agent_files
 from poise.runtime.agent.agent_files import AgentFolder
 from poise.runtime.agent.surroundings import AgentState
 from poise.runtime.container.agent_link import Orphan, hand_over
@@ -218,7 +219,7 @@ def test_the_trouble_is_said_when_nothing_can_be_removed_either(
         raise OSError(errno.EROFS, "read-only")
 
     with monkeypatch.context() as patch:
-        patch.setattr(Path, "write_bytes", refuse)
+        patch.setattr(agent_files, "write_private", refuse)
         patch.setattr(Path, "unlink", refuse)
         folder.keep(AgentState(token=2))
     assert "read-only" in folder.trouble
