@@ -30,7 +30,7 @@ THINKER = Incarnation(component="thinker", computer="right", epoch=4)
 
 
 class Cut:
-    """A robot that a manager takes over which reaches one of its two computers.
+    """A robot that a manager takes over which reaches one of its computers.
 
     Parameters
     ----------
@@ -45,16 +45,17 @@ class Cut:
     def __init__(
         self, robot: Robot, reached: str, *left: Incarnation, fenced: bool = False
     ) -> None:
-        self.agents = FakeAgents("left", "right")
+        names = [computer.name for computer in robot.computers]
+        self.agents = FakeAgents(*names)
         layout = DeploymentLayout(robot, "/run", code_version=version_of)
-        gateways = {"left": "left:7000", "right": "right:7000"}
+        gateways = {name: f"{name}:7000" for name in names}
         self.told: dict[str, Deployment] = layout.specs(left, 5, gateways)
         for computer, deployment in self.told.items():
             self.agents.begin_deploy(computer, deployment)
         if fenced:
             status = self.agents.statuses()[reached]
             self.agents.report(replace(status, cut_off=1.0))
-        self.agents.gone = {"left", "right"} - {reached}
+        self.agents.gone = {*names} - {reached}
         self.journal = Journal(":memory:")
         agents = cast("Agents", self.agents)
         self.run = LiveRobot(robot, PLACEMENT, agents, self.journal, "/run")
@@ -73,13 +74,14 @@ class Cut:
             }
         )
 
-    def heal(self, *found: Incarnation, robot: Robot) -> None:
-        """Let all computers be reached, the missing one with its components."""
-        (computer,) = self.agents.gone
+    def heal(self, *found: Incarnation, robot: Robot, computer: str = "") -> None:
+        """Let a computer be reached with its components; empty: the one that is not."""
+        if not computer:
+            (computer,) = self.agents.gone
         layout = DeploymentLayout(robot, "/run", code_version=version_of)
         self.agents.left_with[computer] = layout.specs(found, 9, {})[computer]
         self.agents.strangers.add(computer)
-        self.agents.gone.clear()
+        self.agents.gone.remove(computer)
         for _ in range(3):
             self.run.reconcile()
             self.lost.note()
@@ -297,6 +299,20 @@ def test_what_runs_only_on_the_other_side_goes_on_there(robot: Robot) -> None:
     cut.run.commit(placed, "no task is known to need it")
     cut.heal(replace(GRABBER, epoch=3), robot=robot)
     assert cut.goals("grabber") == [("left", 3, "active")]
+
+
+def test_what_may_be_at_work_somewhere_goes_on_there_though_another_joins_first(
+    robot: Robot,
+) -> None:
+    """It counted as placed on that other one, where it never ran, as a later one."""
+    middle = replace(robot.computers[0], name="middle")
+    robot = replace(robot, computers=(*robot.computers, middle))
+    cut = Cut(robot, "middle", replace(GRABBER, computer="middle"), THINKER)
+    cut.take_over()
+    cut.heal(robot=robot, computer="left")
+    assert "thinker" in cut.run.desired.held
+    cut.heal(THINKER, robot=robot, computer="right")
+    assert cut.goals("thinker") == [("right", 4, "active")]
 
 
 @pytest.mark.parametrize("together", [True, False])

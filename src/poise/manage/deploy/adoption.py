@@ -382,7 +382,7 @@ def joined_by(
     held is active again where it is.
 
     `doubted`: targets of half-done moves whose sources were not found; nobody said that
-    they were committed.
+    they were committed. And what is only taken to be somewhere: it was found nowhere.
     """
     placed, held = dict(desired.placed), set(desired.held)
     parameters = dict(desired.parameters)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import secrets
 import threading
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
@@ -74,8 +74,8 @@ class DesiredState:
         self.claimed: set[str] = set()
         """The computers that this manager has claimed: it knows their components."""
         self._joining: dict[str, JoiningComputer] = {}
-        self.doubted: Collection[tuple[str, int]] = ()
-        """Targets of half-done moves, as `joined_by` takes them."""
+        self.doubted: frozenset[tuple[str, int]] = frozenset()
+        """What may never have run, as `joined_by` takes it."""
         self.batch_numbers = itertools.count(secrets.randbits(48))
         """Tell the batches of migration steps apart, from other managers' too."""
         self._gateways: dict[str, str] = {}

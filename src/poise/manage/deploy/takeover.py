@@ -133,7 +133,7 @@ def _take_over(
     is_all = live.claimed >= {computer.name for computer in live.robot.computers}
     if is_half_done(reported, live.robot) or (targets and not is_all):
         committed = _committed(live, reported, deployments, record)
-    live.doubted = targets - committed
+    live.doubted = frozenset(targets - committed)
     adoption = adopt(
         reported,
         live.robot,
@@ -450,6 +450,8 @@ def _start(
 ) -> None:
     """Start what does not go on; what cannot start is a deviation from then on."""
     starts = [live.begun(name, computer) for name, computer in where.items()]
+    # it counts as there, though nobody said so
+    live.doubted |= {each.key for each in starts if each.component in live.desired.held}
     # what is out of reach starts elsewhere, if it may, or once it is reached
     new = [
         incarnation for incarnation in starts if incarnation.computer in live.claimed
