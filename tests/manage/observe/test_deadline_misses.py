@@ -65,5 +65,15 @@ def test_only_releases_of_the_last_second_count() -> None:
     assert (found.released, found.missed) == (9, 2)
 
 
+def test_two_statuses_that_come_within_one_look_count_as_one() -> None:
+    misses = DeadlineMisses()
+    misses.measure(status(0.1, 4, 0), 0.5)
+    assert not misses.measure(status(0.1, 5, 1), 0.5)
+    (found,) = misses.measure(status(0.1, 15, 2), 1.5)
+    assert (found.released, found.missed) == (10, 1)
+    (found,) = misses.measure(status(0.1, 16, 3), 1.5)
+    assert (found.released, found.missed) == (11, 2)
+
+
 def test_a_single_miss_among_others_is_no_sign() -> None:
     assert not is_late(5, missed=1)

@@ -305,6 +305,8 @@ def _count(
     timer was released evenly since the one before. The time ends with the last status.
     """
     if not totals or totals[-1][1:] != (timer.releases, timer.missed):
+        if totals and totals[-1][0] == now:
+            totals.pop()  # another status came within this look
         totals.append((now, timer.releases, timer.missed))
     while len(totals) > 1 and now - totals[1][0] >= over:
         totals.popleft()
