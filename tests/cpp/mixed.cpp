@@ -72,7 +72,7 @@ class Target : public poise::Component, public Counts {
  public:
   poise::Required<Backs> backs;
 
-  int add(int one, int two) const { return one + two; }
+  int add(int one, int two) const noexcept { return one + two; }
   Everything echo(const Everything& everything) {
     Everything more = everything;
     ++more.number;
@@ -308,7 +308,7 @@ class CountingSource : public poise::Component {
     measure("answered", state_.answered);
     measure("failed", state_.failed);
   }
-  SourceState snapshot() { return state_; }
+  SourceState snapshot() noexcept { return state_; }
   void restore(const SourceState& state) { state_ = state; }
 
  private:

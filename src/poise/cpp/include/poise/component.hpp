@@ -118,15 +118,15 @@ struct StateOf<std::optional<T>> {
   using type = T;
 };
 
-// What a method takes and returns. It may be const, and of a base class.
+// What a method takes and returns. It may be const or noexcept, and of a base class.
 template <typename Method>
 struct MethodOf;
-template <typename Result, typename C, typename... Args>
-struct MethodOf<Result (C::*)(Args...)> {
+template <typename Result, typename C, typename... Args, bool is_noexcept>
+struct MethodOf<Result (C::*)(Args...) noexcept(is_noexcept)> {
   using Signature = Result(Args...);
 };
-template <typename Result, typename C, typename... Args>
-struct MethodOf<Result (C::*)(Args...) const> {
+template <typename Result, typename C, typename... Args, bool is_noexcept>
+struct MethodOf<Result (C::*)(Args...) const noexcept(is_noexcept)> {
   using Signature = Result(Args...);
 };
 template <typename Method>
