@@ -19,7 +19,7 @@ from poise.wire.codec import codec
 from poise.wire.connections.channel import Channel
 from poise.wire.connections.connection_server import ConnectionServer
 from poise.wire.connections.gateway import Gateway
-from poise.wire.connections.opening import CALLS, forget_own_keys
+from poise.wire.connections.opening import CALLS, renewable_keys
 from poise.wire.frame import Frame, FrameKind, Pieces
 from tests.waiting import LIMIT
 
@@ -61,12 +61,12 @@ class Receiver:
 @contextlib.contextmanager
 def _environment(name: str, value: str) -> Iterator[None]:
     os.environ[name] = value
-    forget_own_keys()
+    renewable_keys.cache_clear()
     try:
         yield
     finally:
         del os.environ[name]
-        forget_own_keys()
+        renewable_keys.cache_clear()
 
 
 class Wire:

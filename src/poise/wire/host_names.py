@@ -51,13 +51,13 @@ class HostNames:
 
     def _main(self) -> None:
         while not self._is_closed:
-            self._has_news.clear()
             for host in tuple(self._names):
                 # the last address holds while no name server answers
                 with contextlib.suppress(OSError, UnicodeError):
                     self._look_up(host)
             is_known = self._known.keys() >= {*self._names}
             self._has_news.wait(_AGAIN if is_known else _SOON)
+            self._has_news.clear()
 
     def _look_up(self, host: str) -> None:
         found = socket.getaddrinfo(host, None, self._family, socket.SOCK_DGRAM)

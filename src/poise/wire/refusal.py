@@ -31,7 +31,7 @@ def why_refused(agent: Endpoint, keys: Credentials | None) -> str:
 def refusals(
     agents: Mapping[str, Endpoint], keys: Credentials | None
 ) -> Mapping[str, str]:
-    """Return why agents let nobody in who has these keys, where something listens."""
+    """Return agent -> why it refuses these keys, for each that is listening."""
     reasons: dict[str, str] = {}
 
     def ask(name: str) -> None:

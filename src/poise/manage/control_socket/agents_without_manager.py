@@ -76,13 +76,13 @@ def ask_agents(
     """Return what the agents of a robot say; None: none says that something runs.
 
     `why`: why the manager does not answer, and the way out; empty: it is gone.
-    `wants_all`: where others run nothing, what a silent one runs matters, too.
+    `wants_all`: that some run nothing is no answer while others are silent.
 
     Raises
     ------
     NoManager
-        Something listens where they are, and none answers, or not all that are wanted:
-        it is not known whether the robot runs.
+        It is not known whether the robot runs: something listens where its agents are,
+        and none answers, or, with `wants_all`, not all do.
     """
     with ThreadPoolExecutor(_MOST_AT_ONCE) as pool:
         if not any(pool.map(_listens, addresses.endpoints.values())):
@@ -97,10 +97,10 @@ def ask_agents(
         del kept
     finally:
         close_session(session)
-    if not reports.reached() and not why:
+    reached = reports.reached()
+    if not reached and not why:
         _raise_if_refused(addresses, keys)
     found = status_by_agents(addresses, reports.statuses(), wall_time(), why)
-    reached = reports.reached()
     if found is None and wants_all and reached and reached != endpoints.keys():
         raise NoManager(_why_not_known(addresses, reached), status=None)
     return found and replace(found, ages=reports.ages())

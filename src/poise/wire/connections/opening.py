@@ -39,7 +39,8 @@ _LONGEST_WAIT = 1e6
 
 
 @cache
-def _own() -> RenewableKeys | None:
+def renewable_keys() -> RenewableKeys | None:
+    """Return the keys of this process as they are renewed; None: it has none."""
     if not os.environ.get(KEYS):
         return None
     from poise.wire.credentials import RenewableKeys  # noqa: PLC0415, `ssl` is slow
@@ -49,13 +50,8 @@ def _own() -> RenewableKeys | None:
 
 def own_keys() -> Credentials | None:
     """Return the keys of this process; None: it meets other computers over TCP."""
-    own = _own()
-    return None if own is None else own.latest()
-
-
-def forget_own_keys() -> None:
-    """Look anew for the keys of this process."""
-    _own.cache_clear()
+    keys = renewable_keys()
+    return None if keys is None else keys.latest()
 
 
 class Opening:
