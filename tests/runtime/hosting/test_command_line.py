@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -179,6 +180,25 @@ def test_one_that_was_asked_to_end_is_inactive_then(running: Running) -> None:
     reach(runner, "inactive")
     running.wait_over()
     assert not runner.reason_to_end
+
+
+@pytest.mark.parametrize("script", ["exit 3", "kill -9 $$"])
+def test_its_last_words_are_passed_on_before_its_container_ends(
+    running: Running, script: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Even where they fill the pipe."""
+    runner = running.command("/bin/sh", "-c", f"seq 1 20000; {script}")
+    runner.aim("active")
+    wait_until(lambda: runner.reason_to_end)
+    assert capsys.readouterr().out.endswith("\n20000\n")
+
+
+def test_what_keeps_its_output_open_does_not_keep_it(running: Running) -> None:
+    script = "setsid sleep 100 & echo $! >$POISE_DEVICE_OUT; exit 3"
+    runner = running.command("/bin/sh", "-c", script)
+    runner.aim("active")
+    wait_until(lambda: runner.reason_to_end)
+    os.kill(int(os.read(running.reading, 100)), signal.SIGKILL)
 
 
 def test_one_that_is_wanted_again_while_it_ends_begins_anew(running: Running) -> None:

@@ -30,7 +30,9 @@ if TYPE_CHECKING:
 
 _STOP_LIMIT = 5.0
 """A process that was asked to end is killed after this time [s], as by ROS 2."""
-_KILL_LIMIT = 0.5
+_OUTPUT_LIMIT = 1.0
+"""What it wrote is read for so long after its end [s]: a child may keep its pipe."""
+_KILL_LIMIT = 0.5 + _OUTPUT_LIMIT
 _PYTHON = {"python", "python3"}
 _PR_SET_PDEATHSIG = 1
 _prctl = ctypes.CDLL(None).prctl
@@ -70,7 +72,8 @@ class CommandLine(Component):
             raise self._not_started(error) from None
         self._context.count_process(self._process.pid)
         self._is_stopping = self._is_frozen = False
-        threads.daemon(self._pass_output_on, "output").start()
+        self._reader = threads.daemon(self._pass_output_on, "output")
+        self._reader.start()
         self._watcher = threads.daemon(self._watch, "command")
         self._watcher.start()
 
@@ -122,6 +125,7 @@ class CommandLine(Component):
         os.waitid(os.P_PID, self._process.pid, os.WEXITED | os.WNOWAIT)
         self._signal(signal.SIGKILL)
         code = self._process.wait()
+        self._reader.join(_OUTPUT_LIMIT)  # its last words tell why it ended
         if not self._is_stopping:
             how = f"exit code {code}" if code >= 0 else signal_name(-code)
             self._context.give_up(f"its command ended with {how}")
