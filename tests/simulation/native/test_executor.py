@@ -50,6 +50,34 @@ def test_the_oldest_message_makes_room(engine: Engine) -> None:
     assert engine.ledger.violations == []
 
 
+@pytest.mark.parametrize("is_elsewhere", [False, True])
+@pytest.mark.parametrize("how", ["its process", "it", "its connection"])
+def test_what_ends_with_its_target_is_dropped_but_never_by_a_move(
+    engine: Engine, how: str, *, is_elsewhere: bool
+) -> None:
+    _, _, other, target = pair(engine, work=1.0)
+    engine.run(0.55)  # five came, one of which runs
+    if is_elsewhere:
+        worker(container(engine), "target", model(engine), epoch=1)
+    target.set_wanted(False)
+    if how == "its process":
+        other.end()
+    elif how == "it":
+        other.remove(target)
+    else:
+        other.connect([])
+        engine.run(0.95)
+    assert engine.ledger.dropped == (0 if is_elsewhere else 4)
+
+
+def test_what_is_wanted_is_connected(engine: Engine) -> None:
+    _, _, other, _ = pair(engine)
+    engine.run(0.5)
+    other.connect([])
+    engine.run(1.0)
+    assert engine.ledger.dropped == 0  # so that what follows is a violation
+
+
 def test_fractions_of_messages_add_up_over_the_runs(engine: Engine) -> None:
     place = container(engine)
     publisher(engine, place, 0.25)

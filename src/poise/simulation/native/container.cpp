@@ -32,6 +32,7 @@ void Container::pause(bool is_paused) {
 }
 
 void Container::end() {
+  if (is_dead_) return;
   is_dead_ = true;
   group_.end();
   for (Sender* sender : senders_) sender->close();
@@ -39,6 +40,7 @@ void Container::end() {
     executor.when_idle_ = nullptr;
     executor.who_.is_dead = true;
   }
+  for (Executor* executor : executors_) executor->drop_waiting();
   late_.clear();
   on_progress_ = on_missed_ = nullptr;
   awaits_progress_ = awaits_missed_ = false;
@@ -57,6 +59,7 @@ Executor& Container::add(ComponentKey key, Incarnation& who, const Model& model,
 void Container::remove(Executor& executor) {
   erase(executors_, executor);
   executor.is_removed_ = true;
+  executor.drop_waiting();
 }
 
 Executor* Container::find(ComponentKey key) const {
@@ -65,9 +68,9 @@ Executor* Container::find(ComponentKey key) const {
   return nullptr;
 }
 
-bool Container::has(int component) const {
-  return std::any_of(executors_.begin(), executors_.end(), [component](const Executor* each) {
-    return each->key().component == component;
+bool Container::has(int component, const Executor* other_than) const {
+  return std::any_of(executors_.begin(), executors_.end(), [=](const Executor* each) {
+    return each->key().component == component && each != other_than;
   });
 }
 
@@ -111,8 +114,13 @@ void Container::receive(Item item) {
   perform([this, item = std::move(item)] {
     const Connector& connector = *item.connector;
     Executor* const target = find(connector.target);
-    // otherwise its connection is not there any more
-    if (!target || connectors_.count(connector.key_number) == 0) return;
+    if (!target || connectors_.count(connector.key_number) == 0) {
+      // its connection is not there any more
+      const bool moves = engine_.runs(connector.target.component, target);
+      if (item.kind == Item::Kind::message && !moves && !(target && target->is_wanted()))
+        engine_.ledger.drop(*connector.slot);
+      return;
+    }
     if (item.kind == Item::Kind::marker)
       target->note_marker(connector, item.number);
     else if (item.kind == Item::Kind::call || !target->is_overtaken(connector))

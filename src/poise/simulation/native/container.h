@@ -41,8 +41,8 @@ class Container {
   Executor& add(ComponentKey key, Incarnation& who, const Model& model, DataAges ages);
   void remove(Executor& executor);
   Executor* find(ComponentKey key) const;
-  // Whether any incarnation of a component is here.
-  bool has(int component) const;
+  // Whether any incarnation of a component is here, but for one.
+  bool has(int component, const Executor* other_than) const;
   // Know the connectors of a deployment from now on; no others.
   void connect(const std::vector<const Connector*>& connectors);
   // Have or close a sending end.

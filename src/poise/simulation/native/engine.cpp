@@ -19,9 +19,9 @@ Executor* Engine::find(const Connector& connector) {
   return nullptr;
 }
 
-bool Engine::runs(int component) const {
-  return std::any_of(containers.begin(), containers.end(), [component](const Container& each) {
-    return !each.is_dead() && each.has(component);
+bool Engine::runs(int component, const Executor* other_than) const {
+  return std::any_of(containers.begin(), containers.end(), [=](const Container& each) {
+    return !each.is_dead() && each.has(component, other_than);
   });
 }
 

@@ -34,8 +34,8 @@ struct Engine {
   const std::string& name(int number) const { return names_[static_cast<std::size_t>(number)]; }
   // The target of a connector, where it runs; null: nowhere.
   Executor* find(const Connector& connector);
-  // Whether any incarnation of a component runs.
-  bool runs(int component) const;
+  // Whether any incarnation of a component runs, but for one.
+  bool runs(int component, const Executor* other_than = nullptr) const;
   // The connection over which answers go from one computer to another.
   Stream& back(int source, int target);
   // Let nothing more happen.

@@ -83,6 +83,12 @@ bool Executor::drop_oldest(Slot* slot) {
   return true;
 }
 
+void Executor::drop_waiting() {
+  if (engine_.runs(key_.component, this)) return;
+  for (const Item& item : mailbox_)
+    if (item.kind == Item::Kind::message) engine_.ledger.drop(*item.connector->slot);
+}
+
 ExecutorState Executor::hand_over() {
   ExecutorState state{{}, {}, ages_.held()};
   state.waiting.swap(mailbox_);

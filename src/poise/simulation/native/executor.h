@@ -44,6 +44,7 @@ class Executor {
   void deactivate();
   // Whether it is to work while it is active.
   void set_wanted(bool is_wanted) { is_wanted_ = is_wanted; }
+  bool is_wanted() const { return is_wanted_; }
   // Whether it works under a lease only.
   void set_leased(bool is_leased) { is_leased_ = is_leased; }
   // Begin no turn from now on; begin turns again.
@@ -56,6 +57,8 @@ class Executor {
 
   // Take a message or a call; the oldest message of its slot makes room.
   void take(Item item);
+  // Drop what waits, unless another incarnation runs: of a move nothing may be lost.
+  void drop_waiting();
   // Give away all that waits; have it back, before all that came since.
   ExecutorState hand_over();
   void take_back(const ExecutorState& state);

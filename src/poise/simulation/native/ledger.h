@@ -31,7 +31,7 @@ struct Incarnation {
 };
 
 // What a component sends over, whichever target it leads to: messages sent, the last that
-// was processed, and those since then that made room for newer ones.
+// was processed, and those since then that were dropped.
 struct Slot {
   std::string name;
   std::uint64_t sent = 0, last = 0, dropped = 0;
@@ -54,7 +54,7 @@ class Ledger {
   void act(const Incarnation& who, double now);
   // Note that a client was told that a move to an incarnation is committed.
   void commit(const std::string& component, int epoch) { lives_[component].committed = epoch; }
-  // Note that a message makes room for newer ones.
+  // Note that a message makes room for newer ones, or ends with its target.
   void drop(Slot& slot) { ++slot.dropped, ++dropped; }
   // Note that a message is processed.
   void process(Slot& slot, std::uint64_t number, const Incarnation& who);
@@ -70,8 +70,8 @@ class Ledger {
     return violations_;
   }
 
-  // Handlers and messages so far, messages that made room for newer ones, calls that were
-  // answered, and those that were not within their limits.
+  // Handlers and messages so far, messages that were dropped, calls that were answered, and
+  // those that were not within their limits.
   std::uint64_t handled = 0, processed = 0, dropped = 0, calls = 0, failed_calls = 0;
 
  private:
