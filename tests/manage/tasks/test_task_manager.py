@@ -19,6 +19,7 @@ from poise.manage.agent_connections.agents import Agents
 from poise.manage.deploy.desired import Desired
 from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.journal import Journal
+from poise.manage.observe.estimates import Load
 from poise.manage.tasks import task_manager
 from poise.manage.tasks.concurrent_tasks import Tasks
 from poise.manage.tasks.saved_tasks import goes_on_with
@@ -137,6 +138,7 @@ class Rig:
     def __init__(self, robot: Robot, *started: str, saved: Saved | None = None) -> None:
         self.robot = robot
         self.agents = Speaking("main", "spare")
+        self.loads: dict[str, Load] = {}
         self.journal = Journal(":memory:")
         agents = cast("Agents", self.agents)
         self.run = LiveRobot(robot, {}, agents, self.journal, "/run")
@@ -153,6 +155,7 @@ class Rig:
             task=now.name,
             placement=self.run.placement(),
             lost=frozenset(self.agents.gone),
+            loads=self.loads,
         )
 
     def end(self, component: str, *, done: bool = True) -> None:
@@ -283,6 +286,21 @@ def test_a_task_that_finds_no_room_waits_for_the_one_that_is_at_work() -> None:
     for _ in range(3):
         rig.manager.advance()
     assert len(rig.said()) == said  # it says so once
+    rig.manager.command("cancel", "first")
+    assert rig.active() == {"sayer"}
+
+
+def test_a_task_goes_on_when_other_programs_leave_another_one_no_room() -> None:
+    tasks = task("first", act("a", "see")), task("second", act("b", "say"))
+    rig = Rig(robot_with(*tasks), "first")
+    rig.loads["main"] = Load(capacity=1.0, used=1.0, background=0.9)
+    rig.manager.command("start", "second")
+    assert rig.active() == {"seeer"}
+    assert rig.states()["first"][0] == "going"
+    state, why = rig.states()["second"]
+    assert state == "waiting"
+    assert why.endswith("Other programs take 0.9 cores of 'main'")
+    rig.loads.clear()
     rig.manager.command("cancel", "first")
     assert rig.active() == {"sayer"}
 

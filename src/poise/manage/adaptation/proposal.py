@@ -111,7 +111,8 @@ def nothing_helps(situation: Situation, gone: str = "") -> str:
         if starved
         else "all components have the CPU that they need where they are"
     )
-    others = _others(situation)
+    takes = taken_by_others(situation)
+    others = f", beside other programs, which take {takes}" if takes else ""
     what = f"{late(situation)}{known}{others}: another placement would not help. "
     if gone:
         return (
@@ -120,14 +121,13 @@ def nothing_helps(situation: Situation, gone: str = "") -> str:
     return f"{what}Check whether a component is blocked, or a deadline too short"
 
 
-def _others(situation: Situation) -> str:
-    """Return what other programs take of the computers, for people."""
-    takes = [
+def taken_by_others(situation: Situation) -> str:
+    """Return what other programs take of the computers, for people; empty: nothing."""
+    return ", ".join(
         f"{format_cores(load.background)} of '{name}'"
         for name, load in sorted(situation.loads.items())
         if load.background >= _TAKES
-    ]
-    return f", beside other programs, which take {', '.join(takes)}" if takes else ""
+    )
 
 
 def late(situation: Situation) -> str:

@@ -13,7 +13,7 @@ from poise import plan
 from poise.clock import boot_time
 from poise.errors import PoiseError, RobotError, UsageError
 from poise.estimate.success_rates import learned
-from poise.manage.adaptation.proposal import SOLVE_FOR
+from poise.manage.adaptation.proposal import SOLVE_FOR, taken_by_others
 from poise.manage.adaptation.situation import Situation
 from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.migration.migration_report import TransitionStep
@@ -41,7 +41,8 @@ def room_for_functions(
 ) -> Room:
     """Return where functions go, beside their running components.
 
-    What runs stays where it is, if all fits so; else it moves where it may.
+    What runs stays where it is, if all fits so; else it moves where it may. If all runs
+    already, it needs no more room, whatever other programs take meanwhile.
 
     `by_plan`: component -> computer, as the plan over time has it; it counts where it
     fits.
@@ -55,11 +56,11 @@ def room_for_functions(
         names = {component.name for component in problem.components}
         present = {n: at for n, at in here.placement.items() if n in names}
         hinted = {**by_plan, **present}
-        if _fits(problem, hinted):
+        if _is_placement(problem, hinted, runs=hinted == present):
             return Room(begins={n: at for n, at in hinted.items() if n not in present})
         result = plan.solve(problem, SOLVE_FOR, steps=here.solve_steps)
         if not result.feasible:
-            return Room(why=result.reason or "there is no room")
+            return Room(why=_why(result, situation))
         then = result.placement
         kept = {name: then[name] for name in present if name in then}
         moves = plan_transition(robot, present, {**present, **kept})
@@ -67,6 +68,12 @@ def room_for_functions(
         return Room(why=str(error))
     begins = {n: at for n, at in then.items() if n not in present}
     return Room(begins=begins, moves=moves)
+
+
+def _why(result: plan.Result, situation: Situation) -> str:
+    why = result.reason or "there is no room"
+    takes = taken_by_others(situation) if " cpu" in why else ""
+    return f"{why}. Other programs take {takes}" if takes else why
 
 
 def beyond_memory(
@@ -87,13 +94,15 @@ def beyond_memory(
     return gone
 
 
-def _fits(problem: plan.Problem, placement: Mapping[str, str]) -> bool:
-    """Return whether a placement is one of the problem, and keeps all limits."""
+def _is_placement(
+    problem: plan.Problem, placement: Mapping[str, str], *, runs: bool
+) -> bool:
+    """Return whether a placement is one of the problem; and runs, or keeps limits."""
     try:
         result = plan.evaluate(problem, placement)
     except UsageError:  # two tasks planned with alternatives, or a computer was lost
         return False
-    return result.feasible and result.placement.keys() == placement.keys()
+    return (runs or result.feasible) and result.placement.keys() == placement.keys()
 
 
 def _with_chosen(robot: Robot, placement: Mapping[str, str]) -> Robot:
