@@ -156,6 +156,37 @@ def test_what_it_started_ends_with_it(running: Running) -> None:
     running.wait_over()
 
 
+def test_daemons_that_it_started_stop_and_end_with_it() -> None:
+    """They are orphans in sessions of their own, which their container adopts."""
+    subprocess.run([sys.executable, "-c", DAEMON], check=True, timeout=LIMIT)
+
+
+DAEMON = """
+from pathlib import Path
+from poise.runtime.container.descendants import adopt_orphans, children
+from poise.wire.records.deployment_records import ComponentSpec
+from tests.runtime.hosting.test_command_line import reach, runner_of
+from tests.waiting import wait_until
+
+def state(process):
+    return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
+
+adopt_orphans()
+daemon = "trap '' TERM; while :; do sleep 0.01; done"
+command = ("sh", "-c", f'(setsid sh -c "{daemon}" &); exec sleep 100')
+runner = runner_of(ComponentSpec(name="one", goal="active", command=command), Path())
+runner.aim("active")
+reach(runner, "active")
+wait_until(lambda: len(children()) == 2)
+runner.component.freeze(is_frozen=True)
+wait_until(lambda: all(state(c) == "T" for c in children()))
+runner.component.freeze(is_frozen=False)
+runner.aim("inactive")
+reach(runner, "inactive")
+assert all(state(c) == "Z" for c in children())
+"""
+
+
 @pytest.mark.parametrize(
     ("script", "how"),
     [

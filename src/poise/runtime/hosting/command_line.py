@@ -7,7 +7,6 @@ path; the name in capitals, ``_`` for ``-``). Poise does not wire it.
 
 from __future__ import annotations
 
-import contextlib
 import ctypes
 import os
 import shutil
@@ -23,6 +22,12 @@ import msgspec
 from poise import threads
 from poise.errors import RobotError, did_you_mean, listed, signal_name
 from poise.runtime.component.component import Component
+from poise.runtime.hosting.command_processes import (
+    GONE_LIMIT,
+    NAME,
+    end_all,
+    signal_all,
+)
 from poise.runtime.hosting.output import LONGEST, write_as
 
 if TYPE_CHECKING:
@@ -32,7 +37,7 @@ _STOP_LIMIT = 5.0
 """A process that was asked to end is killed after this time [s], as by ROS 2."""
 _OUTPUT_LIMIT = 1.0
 """What it wrote is read for so long after its end [s]: a child may keep its pipe."""
-_KILL_LIMIT = 0.5 + _OUTPUT_LIMIT
+_KILL_LIMIT = 0.5 + GONE_LIMIT + _OUTPUT_LIMIT
 _PYTHON = {"python", "python3"}
 _PR_SET_PDEATHSIG = 1
 _prctl = ctypes.CDLL(None).prctl
@@ -104,7 +109,7 @@ class CommandLine(Component):
             for name, path in self._context.devices.items()
         }
         return {
-            "POISE_COMPONENT": self.name,
+            NAME: self.name,
             "POISE_PARAMETERS": msgspec.json.encode(self.parameters).decode(),
             **devices,
             **self.variables,
@@ -123,7 +128,7 @@ class CommandLine(Component):
     def _watch(self) -> None:
         """Wait for the end of the process, and end what it started along."""
         os.waitid(os.P_PID, self._process.pid, os.WEXITED | os.WNOWAIT)
-        self._signal(signal.SIGKILL)
+        end_all(self.name, self._process.pid)
         code = self._process.wait()
         self._reader.join(_OUTPUT_LIMIT)  # its last words tell why it ended
         if not self._is_stopping:
@@ -131,8 +136,7 @@ class CommandLine(Component):
             self._context.give_up(f"its command ended with {how}")
 
     def _signal(self, number: signal.Signals) -> None:
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(self._process.pid, number)
+        signal_all(self.name, self._process.pid, number)
 
     def _not_started(self, error: Exception) -> RobotError:
         return RobotError(f"'{self.command[0]}' cannot be started: {error}")
