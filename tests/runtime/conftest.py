@@ -133,6 +133,12 @@ class Pair:
             runner.aim("active")
             assert runner.life_cycle.wait_state({"active", "failed"}, LIMIT) == "active"
 
+    def part(self) -> None:
+        """Close all connectors; both components stay."""
+        for name, side in self.sides.items():
+            here = {key: r for key, r in self.runners.items() if key[0] == name}
+            side.apply((), self.runners if self.kind == "direct" else here)
+
     def start_source_anew(self, implementation: type[C]) -> C:
         """End the source's container as if it was killed, and start another."""
         self.sides["source"].close()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import time
 from collections.abc import Callable, Iterable, Mapping
 from collections.abc import Set as AbstractSet
 from contextlib import ExitStack
@@ -33,6 +34,9 @@ SENDING: AbstractSet[PortKind] = {"publishes", "requires"}
 TAKING: AbstractSet[PortKind] = {"subscribes", "provides"}
 """The kinds of ports at the two ends of a connector."""
 
+_SHOWN_ONCE_CLOSED = 2.0
+"""The last counts of a connector are reported for so long after it was closed [s]."""
+
 Runners = Mapping[tuple[str, int], Runner]
 """The incarnations of components in a container, by name and epoch."""
 
@@ -52,16 +56,15 @@ class OpenConnector:
         """Connect if needed; return whether the other end is there, if known."""
         return self.route is None or self.route.try_connect()
 
-    def status(self) -> ConnectorStatus:
-        """Return what was counted, and whether the other end is there."""
+    def status(self, *, is_closed: bool = False) -> ConnectorStatus:
+        """Return what was counted, and whether the other end is there or not needed."""
         self.remote_clock.update()
         end: Side = "target" if self.sender is None else "source"
         if self.spec.kind == "direct":
             end = "both"
         spec = self.spec
-        return self.counts.status(
-            spec.name, spec.key, spec.kind, end, ready=self.try_connect()
-        )
+        ready = is_closed or self.try_connect()
+        return self.counts.status(spec.name, spec.key, spec.kind, end, ready=ready)
 
 
 class Wiring:
@@ -75,6 +78,7 @@ class Wiring:
         self._server = server
         self._clock_offset = clock_offset
         self._open: dict[str, OpenConnector] = {}
+        self._closed: list[tuple[float, OpenConnector]] = []
         self._troubles: dict[tuple[str, int], str] = {}
 
     def apply(
@@ -86,10 +90,8 @@ class Wiring:
         known = {opened.sender for opened in self.open_connectors()}
         troubles: dict[tuple[str, int], str] = {}
         for key, spec in wanted.items():
-            ends = (spec.source, spec.source_epoch), (spec.target, spec.target_epoch)
-            here = [end for end in ends if end in runners]
-            # without one of a direct connector's ends, the other has nothing to join
-            if key in self._open or len(here) < (2 if spec.kind == "direct" else 1):
+            here = _ends_here(spec, runners)
+            if key in self._open or not here:
                 continue
             try:
                 self._open[key] = self._join(spec, runners)
@@ -99,6 +101,9 @@ class Wiring:
                 troubles.update(dict.fromkeys(here, text))
         self._buffer_amid_a_move(known)
         for key in self._open.keys() - wanted.keys():
+            spec = self._open[key].spec
+            if _ends_here(spec, runners):  # they rest: they are neither gone nor moved
+                self._closed.append((time.monotonic(), self._open[key]))
             self.shut(key)
         self._troubles = troubles
         return troubles
@@ -164,8 +169,18 @@ class Wiring:
         return joined
 
     def status(self) -> tuple[ConnectorStatus, ...]:
-        """Return the status of every open connector."""
-        return tuple(opened.status() for opened in self.open_connectors())
+        """Return the status of every open connector, and of what was closed lately.
+
+        What is joined in another way by now, as after a move, is left out.
+        """
+        now, names = time.monotonic(), {c.spec.name for c in self._open.values()}
+        self._closed = [
+            (at, closed)
+            for at, closed in self._closed
+            if now - at < _SHOWN_ONCE_CLOSED and closed.spec.name not in names
+        ]
+        last = [closed.status(is_closed=True) for _, closed in self._closed]
+        return (*(opened.status() for opened in self.open_connectors()), *last)
 
     def open_connectors(self) -> list[OpenConnector]:
         """Return what is open now; any thread may ask."""
@@ -276,6 +291,14 @@ class Wiring:
             handler = file.handler(handler)
         self._server.open(spec.key, handler, opened.counts.refuse)
         opened.closing.callback(self._server.shut, spec.key)
+
+
+def _ends_here(spec: ConnectorSpec, runners: Runners) -> list[tuple[str, int]]:
+    """Return a connector's ends in this container; none if it cannot be joined."""
+    ends = (spec.source, spec.source_epoch), (spec.target, spec.target_epoch)
+    here = [end for end in ends if end in runners]
+    # without one of a direct connector's ends, the other has nothing to join
+    return here if len(here) >= (2 if spec.kind == "direct" else 1) else []
 
 
 def _forget(spec: ConnectorSpec, target: Runner) -> None:
