@@ -210,6 +210,7 @@ def test_what_is_done_instead_may_fail_too() -> None:
     assert played.end("a", done=False) == ["c"]
     assert played.end("c", done=False) == []
     assert played.states() == {"t": "failed"}
+    assert played.tasks.records[0].why.startswith("action 'c' failed: ")
 
 
 def test_an_end_of_an_earlier_try_ends_nothing() -> None:

@@ -265,6 +265,7 @@ class Steps:
             "give up"
         ):
             progress.inside = [self._begin(instead)]
+            progress.why = ""  # if that fails, too, its own reason counts
             self._say(f"action '{action.name}' failed: its alternative begins")
         else:
             progress.state = "failed"
