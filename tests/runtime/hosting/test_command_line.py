@@ -162,6 +162,7 @@ def test_daemons_that_it_started_stop_and_end_with_it() -> None:
 
 
 DAEMON = """
+import os
 from pathlib import Path
 from poise.runtime.container.descendants import adopt_orphans, children
 from poise.wire.records.deployment_records import ComponentSpec
@@ -177,7 +178,7 @@ command = ("sh", "-c", f'(setsid sh -c "{daemon}" &); exec sleep 100')
 runner = runner_of(ComponentSpec(name="one", goal="active", command=command), Path())
 runner.aim("active")
 reach(runner, "active")
-wait_until(lambda: len(children()) == 2)
+wait_until(lambda: len({os.getsid(child) for child in children()}) == 2)
 runner.component.freeze(is_frozen=True)
 wait_until(lambda: all(state(c) == "T" for c in children()))
 runner.component.freeze(is_frozen=False)
