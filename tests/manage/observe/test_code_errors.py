@@ -43,6 +43,20 @@ def statuses(
     return {"left": status}
 
 
+def test_what_poise_refuses_was_not_raised() -> None:
+    text = "a value of type function cannot cross a connector"
+    error = ErrorCount(where="checkpoint", text=text, first=1.0, count=1)
+    (container,) = (status := statuses(0)["left"]).containers
+    hand = replace(container.components[0], error_counts=(error,))
+    said = list[str]()
+    raised = CodeErrors(lambda _, what: said.append(what))
+    raised.record({"left": status}, 0.0)
+    container = replace(container, components=(hand,))
+    raised.record({"left": replace(status, containers=(container,))}, 1.0)
+    what = f"'checkpoint' of component 'hand' on 'left': {text}"
+    assert said == [f"{what}; `poise log hand` says more"]
+
+
 def test_says_once_that_errors_come_and_once_that_they_are_over() -> None:
     said = list[tuple[str, str]]()
     raised = CodeErrors(lambda kind, what: said.append((kind, what)))

@@ -195,9 +195,11 @@ def _raised(component: ComponentStatus, computer: str) -> _Counts:
     name = component.name
     for error in component.error_counts:
         text = last_error(error.text)
-        handler = f"'{error.where}' of component '{name}' on '{computer}'"
+        # what Poise itself refuses, such as a state, comes without a traceback
+        raised = " raised" if "\n" in error.text else ":"
+        handler = f"'{error.where}' of component '{name}' on '{computer}'{raised}"
         said = Deviation(
-            what=f"{handler} raised {text}; `poise log {name}` says more",
+            what=f"{handler} {text}; `poise log {name}` says more",
             computer=computer,
             since=error.first,
         )
