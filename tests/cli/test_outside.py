@@ -509,7 +509,7 @@ def test_the_next_manager_keeps_parameters(
 
 def test_parameters_that_do_not_fit_change_nothing(poise: Poise) -> None:
     for changes, code, said in (
-        (("gain=2",), 1, "'hearer' refused 'gain': ValueError: a gain of 2.0 is"),
+        (("gain=2",), 2, "'hearer' refused 'gain': ValueError: a gain of 2.0 is"),
         (("gain=0.1", "perod=1"), 2, "no parameter 'perod' (did you mean 'period'?)"),
         (("gain=high",), 2, "parameter 'gain' is 'high': Expected `float`"),
         (("gain",), 2, "'gain': give NAME=VALUE"),

@@ -240,7 +240,7 @@ def set_command(
         taken = up.set_parameters(values, limit=limit)
     except CalleeError as error:
         refused = f"component '{component}' refused {listed(values)}: {error}"
-        raise RunError(f"{refused}; nothing was changed") from error
+        raise UsageError(f"{refused}; nothing was changed") from error
     _show(taken, as_json=as_json)
 
 
