@@ -309,10 +309,11 @@ def start_command(
     """Start a task of a running robot, beside those that run.
 
     Tasks that need the same device or the same room run by priority: the others wait.
+    One that fails at once is an error.
 
     Example: poise task start fetch
     """
-    _show(Running(robot).tasks.start(task, priority), as_json=as_json)
+    _show_begun(Running(robot).tasks.start(task, priority), as_json=as_json)
 
 
 def pause_command(task: Name, robot: Robot = None, as_json: AsJson = False) -> None:
@@ -328,7 +329,7 @@ def resume_command(task: Name, robot: Robot = None, as_json: AsJson = False) -> 
 
     Example: poise task resume fetch
     """
-    _show(Running(robot).tasks.resume(task), as_json=as_json)
+    _show_begun(Running(robot).tasks.resume(task), as_json=as_json)
 
 
 def cancel_command(task: Name, robot: Robot = None, as_json: AsJson = False) -> None:
@@ -354,6 +355,12 @@ def show_command(task: Name, robot: Robot = None, as_json: AsJson = False) -> No
     Example: poise task show fetch
     """
     _show(Running(robot).tasks.show(task), as_json=as_json)
+
+
+def _show_begun(report: TaskReport, *, as_json: bool) -> None:
+    _show(report, as_json=as_json)
+    if report.state == "failed":
+        raise typer.Exit(1)
 
 
 def _show(report: TaskReport, *, as_json: bool) -> None:
