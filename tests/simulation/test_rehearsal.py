@@ -191,5 +191,7 @@ def test_what_is_simulated_is_not_learned(tmp_path: Path) -> None:
     tasks = (Task(name="work", actions=(action,)),)
     robot = structs.replace(plan.robot, folder=str(tmp_path), tasks=tasks)
     report = rehearsed(structs.replace(plan, robot=robot), 3.0)
-    assert any("its limit of 1 s is over" in event.what for event in report.events)
+    (task,) = report.tasks
+    assert (task.state, "its limit of 1 s is over" in task.why) == ("failed", True)
+    assert task.since - task.began == pytest.approx(1.0, abs=0.6)
     assert list(tmp_path.iterdir()) == []

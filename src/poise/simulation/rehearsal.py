@@ -173,6 +173,7 @@ class Rehearsal:
             dropped=ledger.dropped,
             calls=ledger.calls,
             failed_calls=ledger.failed_calls,
+            tasks=observer.tasks(),
             guesses=self._work.guesses,
             violations=tuple(dict.fromkeys((*self._violations, *wrong))),
         )

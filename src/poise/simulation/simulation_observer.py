@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from poise.manage.deploy.desired import Desired
 from poise.manage.journal import JournalEntry
 from poise.manage.migration.migration_report import MigrationReport
+from poise.manage.tasks.concurrent_tasks import TaskReport
 from poise.manage.tasks.task_progress import OVER
 from poise.model.robot import Robot
 from poise.simulation.predicted_times import mean_of
@@ -95,6 +96,12 @@ class SimulationObserver:
                 )
             )
         return tuple(loads)
+
+    def tasks(self) -> tuple[TaskReport, ...]:
+        """Return how the robot's tasks went, if its manager is up."""
+        simulated = self._robot.manager
+        manager = None if simulated is None else simulated.manager
+        return () if manager is None else manager.tasks.reports
 
     def timers(self) -> tuple[TimerMisses, ...]:
         """Return how all timers kept their rates, over all incarnations."""

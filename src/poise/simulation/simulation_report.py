@@ -6,6 +6,8 @@ from collections.abc import Mapping
 
 from msgspec import Struct
 
+from poise.manage.tasks.concurrent_tasks import TaskReport
+
 
 class SimulatedLoad(Struct, frozen=True, kw_only=True):
     """How busy a computer was.
@@ -154,6 +156,8 @@ class SimulationReport(Struct, frozen=True, kw_only=True):
         How many messages were processed, and how many had to make room.
     calls, failed_calls
         How many calls were answered, and how many were not.
+    tasks
+        How the tasks went; empty: their manager was not up in the end.
     guesses
         What the model had to assume, because neither profile nor robot file says it.
     violations
@@ -179,6 +183,7 @@ class SimulationReport(Struct, frozen=True, kw_only=True):
     dropped: int
     calls: int
     failed_calls: int
+    tasks: tuple[TaskReport, ...] = ()
     guesses: tuple[str, ...] = ()
     violations: tuple[str, ...] = ()
 

@@ -7,6 +7,7 @@ import re
 import pytest
 from msgspec.structs import replace
 
+from poise.manage.tasks.concurrent_tasks import TaskReport
 from poise.session.render.simulation_tables import compared, late, span, verdict
 from poise.session.simulate import Simulation, SimulationComparison
 from poise.simulation.simulation_report import SimulationReport
@@ -52,6 +53,17 @@ def test_a_quiet_simulation_says_so() -> None:
         "1 h of virtual time: none of 10 deadlines missed, no function stopped"
     )
     assert "no timer has a deadline" in verdict(replace(quiet, timers=()))
+
+
+def test_a_task_that_ended_is_told_with_the_reason_and_the_time() -> None:
+    why = "action 'go' failed: its limit of 20 s is over"
+    over = TaskReport(
+        name="haul", state="failed", priority=0, why=why, began=100.0, since=140.0
+    )
+    goes_on = replace(over, name="roam", state="going", why="")
+    report = replace(REPORT, tasks=(over, goes_on))
+    assert lines(report)[1] == f"task 'haul' failed after 40 s: {why}"
+    assert "roam" not in str(Simulation.of(report))
 
 
 def test_a_violated_promise_comes_before_all_else() -> None:

@@ -10,6 +10,7 @@ from rich.console import RenderableType
 from rich.markup import escape
 from rich.table import Table
 
+from poise.manage.tasks.task_progress import OVER
 from poise.session.render.picture import bar_row
 from poise.session.render.report_page import Mark, document, html_table, over_time
 from poise.session.render.tables import table
@@ -36,6 +37,7 @@ def simulation_parts(report: SimulationReport) -> Iterator[RenderableType]:
     yield f"[{colour}]{escape(verdict(report))}[/]"
     for sentence in report.violations[1:]:
         yield f"[red]a promise of Poise did not hold: {escape(sentence)}[/]"
+    yield from _ended_tasks(report)
     yield _computers(report)
     yield from _timers(report)
     yield from _chains(report)
@@ -62,6 +64,17 @@ def verdict(report: SimulationReport) -> str:
     if report.moves:
         facts.append(counted(len(report.moves), "move"))
     return f"{span(report.seconds)}{asked} of virtual time{early}: {', '.join(facts)}"
+
+
+def _ended_tasks(report: SimulationReport) -> Iterator[str]:
+    """Yield what became of tasks that ended: nothing of them was simulated then."""
+    for task in report.tasks:
+        if task.state in OVER:
+            ended = "failed" if task.state == "failed" else f"was {task.state}"
+            why = f": {task.why}" if task.why else ""
+            after = span(task.since - task.began)
+            line = escape(f"task '{task.name}' {ended} after {after}{why}")
+            yield f"[yellow]{line}[/]" if task.state == "failed" else line
 
 
 def ended_early(report: SimulationReport) -> bool:

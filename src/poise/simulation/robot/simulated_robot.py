@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from msgspec import Struct
 from msgspec.msgpack import encode
 
-from poise.clock import SystemClock
+from poise.clock import SystemClock, boot_time
 from poise.errors import PoiseError, TakenOver
 from poise.estimate.demands import kinds_together
 from poise.estimate.profiles import Profile
@@ -144,8 +144,8 @@ class SimulatedManager:
             placement = {} if self._is_standby else setup.placement
             asked = Tasks(robot, lambda text: journal.note("decided", text))
             for name in () if self._is_standby else setup.tasks:
-                asked.start(name, self.process.computer.wall())
-            asked.arbitrate(self.process.computer.wall())
+                asked.start(name, boot_time())
+            asked.arbitrate(boot_time())
             live = self.live = LiveRobot(robot, placement, agents, journal, "/robot")
             live.begin_with(encode(asked.saved))
             live.solve_steps = SOLVE_STEPS
