@@ -68,6 +68,19 @@ def test_measures_command_line_components(tmp_path: Path, poise: Poise) -> None:
 
 
 @pytest.mark.slow
+def test_a_profile_that_has_no_file_is_used_as_it_is_said(
+    tmp_path: Path, poise: Poise
+) -> None:
+    (tmp_path / "robot.yaml").write_text(ROBOT.replace("profile: profile.yaml\n", ""))
+    (tmp_path / "burn.py").write_text(BURN)
+    times = ("--for", "1s", "--warm-up", "0.5s", "--repeat", "1")
+    done = poise("profile", "robot.yaml", *times)
+    assert "`poise profile show robot.yaml --write`" in done.stdout
+    assert poise("profile", "show", "robot.yaml", "--write").returncode == 0
+    assert all("cpu" in c.demand for c in load(tmp_path / "robot.yaml").components())
+
+
+@pytest.mark.slow
 def test_a_computer_that_a_real_robot_has_not_is_named(tmp_path: Path) -> None:
     hello = Path(__file__).parents[2] / "examples" / "hello"
     text = (hello / "robot.yaml").read_text()

@@ -96,8 +96,9 @@ def profile_command(
         console.print(escape(f"written to {measured.file}"))
     else:
         console.print(
-            "kept in the store; add `profile: profile.yaml` to the robot file for the "
-            "planner"
+            "kept in the store, where the planner does not look: `poise profile show "
+            f"{escape(str(file))} --write` writes the demands into the robot file; "
+            "with `profile: profile.yaml` in it, the next profile is the planner's, too"
         )
     if write:
         _write(file, measured.profile, console)
