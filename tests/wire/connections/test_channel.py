@@ -670,6 +670,23 @@ def test_a_pipe_is_ready_no_more_when_its_peer_ended(wire: Wire) -> None:
 
 
 @both
+def test_a_lost_connection_is_replaced_and_not_kept_beside_the_next(
+    wire: Wire, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After a cut it may come back; its receiver would wait for more from it."""
+    server, receiver, channel = wire.server(), Receiver(), wire.channel(use=MESSAGES)
+    server.open("echo", receiver)
+    channel.push(message("a"), LIMIT)
+    (lost,) = channel._messages
+    monkeypatch.setattr(lost, "is_idle", lambda: False)
+    wait_until(channel.try_connect)
+    assert lost not in [*channel._messages]
+    channel.push(message("b"), LIMIT)
+    assert receiver.wait_for(2) == ["a", "b"]
+    assert len([*channel._messages]) == 1
+
+
+@both
 def test_a_channel_whose_only_connection_is_used_is_ready(wire: Wire) -> None:
     channel = wire.channel()
     found = []

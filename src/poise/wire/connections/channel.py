@@ -97,11 +97,15 @@ class _Connections:
         self._drop_all(self._older)
         self._older, self._recent = self._recent, []
 
+    def close_idle(self) -> None:
+        """Close those that are idle."""
+        self._drop_all(self._recent)
+        self._drop_all(self._older)
+
     def close(self) -> None:
         """Close all, also those that are given back later."""
         self._is_closed = True
-        self._drop_all(self._recent)
-        self._drop_all(self._older)
+        self.close_idle()
 
     def _drop_all(self, connections: list[Connection]) -> None:
         with contextlib.suppress(IndexError):  # others may take some meanwhile
@@ -254,6 +258,9 @@ class Channel:
         ):
             return False
         try:
+            # nor would one beside another that may come back after a cut
+            for connections in self._connections:
+                connections.close_idle()
             connection = self._opened(self._use, 0.0)
             if connection is not None:
                 self._connections[self._use].put(connection)
