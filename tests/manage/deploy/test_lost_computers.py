@@ -184,6 +184,18 @@ def test_a_computer_that_still_sends_heartbeats_goes_on(robot: Robot) -> None:
         live.revoke_leases({"right"})
 
 
+def test_a_computer_where_nothing_runs_is_told_to_accept_no_connection(
+    robot: Robot,
+) -> None:
+    agents = FakeAgents("left", "right", "spare")
+    live = started(robot, agents)
+    agents.gone.add("spare")
+    agents.heard.add("spare")
+    assert live.unreached()["spare"].endswith(
+        "; it still sends heartbeats (UDP), but accepts no connection (TCP)"
+    )
+
+
 def test_reports_that_come_without_heartbeats_are_said(
     robot: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -162,8 +162,10 @@ def unreached(
         how = f"'{other}' still reaches it" if other else ""
         if computer in heard:
             how = "it still sends heartbeats (UDP), but accepts no connection (TCP)"
-        if inside and how:
-            sentences[computer] += f"; {how}: {_clause(inside, 'keep')} running"
+        if how:
+            sentences[computer] += f"; {how}"
+            if inside:
+                sentences[computer] += f": {_clause(inside, 'keep')} running"
             continue
         stop = [name for name in inside if name in leased]
         stay = ", ".join(name for name in inside if name not in leased)
