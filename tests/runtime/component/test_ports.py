@@ -36,6 +36,10 @@ class Pose(Message):
     x: float
 
 
+class Marks(Protocol):
+    def mark(self, pose: Pose) -> None: ...
+
+
 class Walls(Protocol):
     def near(self, pose: Pose, limit: float = 1.0) -> int: ...
 
@@ -202,6 +206,36 @@ def test_a_parameter_needs_a_type_and_a_place() -> None:
     for interface in (Loose, Untyped):
         with pytest.raises(UsageError, match="needs a type and a place of its own"):
             methods(interface)
+
+
+def test_what_poise_calls_is_no_coroutine() -> None:
+    class Timed(Component):
+        @every(1.0)
+        async def tick(self) -> None: ...
+
+    class Hooked(Component):
+        async def configure(self) -> None: ...  # type: ignore[override]
+
+    class Served(Component):
+        marks: Provided[Marks]
+
+        async def mark(self, pose: Pose) -> None: ...
+
+    class Own(Component):
+        async def mine(self) -> None: ...
+
+    for class_, name in ((Timed, "tick"), (Hooked, "configure"), (Served, "mark")):
+        with pytest.raises(UsageError, match=rf"{name}: .*without `async`"):
+            ports_of(class_)
+    assert ports_of(Own) == {}
+
+
+def test_the_type_of_a_port_is_not_assigned() -> None:
+    class Assigned(Component):
+        pose = Published[Pose]
+
+    with pytest.raises(UsageError, match=r"pose is no port: write a colon"):
+        ports_of(Assigned)
 
 
 def test_only_a_subscribed_port_can_be_lost() -> None:

@@ -25,6 +25,7 @@ from __future__ import annotations
 import inspect
 import reprlib
 from collections.abc import Callable, Container, Iterator, Mapping
+from itertools import chain
 from types import FunctionType
 from typing import (
     Annotated,
@@ -295,14 +296,19 @@ def is_oneway(interface: type, method: str) -> bool:
 
 _OWN = ("name", "clock", "log", "tasks", "start_call", "age", "device", "measure")
 """What `Component` offers, apart from the hooks that classes define."""
+_HOOKS = ("configure", "reconfigure", "activate", "begin", "deactivate", "cleanup")
+_STATE_HOOKS = ("snapshot", "restore", "snapshot_delta", "restore_delta")
+_RUNS_LATER = inspect.CO_COROUTINE | inspect.CO_GENERATOR | inspect.CO_ASYNC_GENERATOR
+_MARKS = ("__poise_queue__", "__poise_input__", "__poise_timer__")
+"""What `subscribed`, `lost`, `found` and `every` leave at a method."""
 
 
 def ports_of(component: type) -> Mapping[str, Port]:
     """Return the ports of a component class by name.
 
     Raises UsageError: when a subscribed method does not say its message's type, a
-    provided interface has a method that the component lacks, or the class hides what
-    `Component` offers.
+    provided interface has a method that the component lacks, the class hides what
+    `Component` offers, or has what is meant as a port or method and would do nothing.
     """
     hints = get_type_hints(component, include_extras=True)
     _check_names(component, hints)
@@ -324,6 +330,8 @@ def ports_of(component: type) -> Mapping[str, Port]:
     for port in ports.values():
         if port.kind == "provides":
             _check_provided(component, port)
+    _check_assigned(component)
+    _check_coroutines(component, ports)
     for (event, name), methods in watchers_of(component).items():
         inputs = [port.name for port in ports.values() if port.kind == "subscribes"]
         if name not in inputs:
@@ -356,6 +364,29 @@ def _check_names(component: type, declared: Container[str]) -> None:
             )
 
 
+def _check_assigned(component: type) -> None:
+    """Raise UsageError when the type of a port was assigned, which declares nothing."""
+    for name in dir(component):
+        if _annotated_port(name, getattr(component, name, None), None) is not None:
+            raise UsageError(
+                f"{component.__qualname__}.{name} is no port: write a colon, not an "
+                f"equals sign, as in `{name}: Published[Type]`"
+            )
+
+
+def _check_coroutines(component: type, ports: Mapping[str, Port]) -> None:
+    """Raise UsageError when a method that Poise calls would not run at all then."""
+    provided = [port.type for port in ports.values() if port.kind == "provides"]
+    called = {*_HOOKS, *_STATE_HOOKS, *chain.from_iterable(map(methods_of, provided))}
+    for name, method in _functions_of(component):
+        is_called = name in called or any(hasattr(method, mark) for mark in _MARKS)
+        if is_called and method.__code__.co_flags & _RUNS_LATER:
+            raise UsageError(
+                f"{component.__qualname__}.{name}: Poise calls it and awaits nothing; "
+                "write it without `async` and `yield`"
+            )
+
+
 def watchers_of(component: type) -> Mapping[tuple[InputEvent, str], list[str]]:
     """Return what happens to which port -> the methods that are called then."""
     found: dict[tuple[InputEvent, str], list[str]] = {}
@@ -385,8 +416,8 @@ def _refuse_type(message: object, wanted: type) -> None:
     given = type(message)
     if given.__qualname__ != wanted.__qualname__:  # else imported under two names
         raise UsageError(
-            f"the port publishes {wanted.__qualname__}, but was given a "
-            f"{given.__qualname__}: {reprlib.repr(message)}"
+            f"the port publishes {wanted.__qualname__}, but was given "
+            f"{reprlib.repr(message)} of type {given.__qualname__}"
         )
 
 
