@@ -8,6 +8,11 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from poise import emulate as emulate
+    from poise import model as model
+    from poise import plan as plan
+    from poise import testing as testing
+    from poise import units as units
     from poise.clock import Stamp as Stamp
     from poise.errors import AlreadyManaged as AlreadyManaged
     from poise.errors import CalleeError as CalleeError
@@ -159,6 +164,7 @@ else:
         "up": "session.up",
         "within": "runtime.component.component",
     }
+    _PARTS = ("emulate", "model", "plan", "testing", "units")
     __all__ = list(_HOMES)
 
     def __dir__() -> list[str]:
@@ -169,6 +175,8 @@ else:
         """Import a name when it is first asked for, so that `import poise` is quick."""
         if name == "__version__":
             found: object = import_module("importlib.metadata").version("poise")
+        elif name in _PARTS:
+            found = import_module(f"poise.{name}")
         elif name in _HOMES:
             found = getattr(import_module(f"poise.{_HOMES[name]}"), name)
         else:

@@ -12,6 +12,28 @@ from collections.abc import Iterable, Mapping
 
 from msgspec import Struct
 
+__all__ = [
+    "BANDWIDTH",
+    "BYTES",
+    "CORES",
+    "DIMENSIONS",
+    "NUMBER",
+    "RATE",
+    "RATIO",
+    "SECONDS",
+    "Dimension",
+    "counted",
+    "format_amount",
+    "format_bandwidth",
+    "format_bytes",
+    "format_cores",
+    "format_seconds",
+    "named",
+    "parse",
+    "quoted",
+    "shortened",
+]
+
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(\S.*?)?\s*")
 _DATA = re.compile(
     r"(?P<prefix>[kmgt]?)(?P<binary>i?)(?P<letter>b)(?:its?|ytes?)?(?:/s|ps|/sec)?",

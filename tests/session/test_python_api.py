@@ -70,6 +70,13 @@ def test_the_names_are_listed_before_they_are_imported() -> None:
 
 
 @pytest.mark.slow
+def test_its_parts_are_there_without_an_import_of_their_own() -> None:
+    parts = "emulate", "model", "plan", "testing", "units"
+    code = f"import poise; [getattr(poise, part).__all__ for part in {parts}]"
+    subprocess.run([sys.executable, "-c", code], timeout=LONG, check=True)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("loaded", "without"),
     [
