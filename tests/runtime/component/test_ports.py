@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import pytest
@@ -34,6 +35,11 @@ from poise.runtime.connectors.interface import methods
 
 class Pose(Message):
     x: float
+
+
+@dataclass
+class Gains:
+    gain: float
 
 
 class Marks(Protocol):
@@ -236,6 +242,18 @@ def test_the_type_of_a_port_is_not_assigned() -> None:
 
     with pytest.raises(UsageError, match=r"pose is no port: write a colon"):
         ports_of(Assigned)
+
+
+def test_parameters_have_a_type_that_values_are_checked_against() -> None:
+    class Pilot(Component):
+        parameters: Gains
+
+    class Plain(Component):
+        parameters: dict[str, float]
+
+    with pytest.raises(UsageError, match=r"Pilot: `parameters: .*Gains` declares noth"):
+        ports_of(Pilot)
+    assert ports_of(Plain) == {}
 
 
 def test_only_a_subscribed_port_can_be_lost() -> None:

@@ -331,6 +331,7 @@ def ports_of(component: type) -> Mapping[str, Port]:
         if port.kind == "provides":
             _check_provided(component, port)
     _check_assigned(component)
+    _check_parameters(component, hints.get("parameters"))
     _check_coroutines(component, ports)
     for (event, name), methods in watchers_of(component).items():
         inputs = [port.name for port in ports.values() if port.kind == "subscribes"]
@@ -372,6 +373,17 @@ def _check_assigned(component: type) -> None:
                 f"{component.__qualname__}.{name} is no port: write a colon, not an "
                 f"equals sign, as in `{name}: Published[Type]`"
             )
+
+
+def _check_parameters(component: type, declared: object) -> None:
+    """Raise UsageError when no value can be checked against a class of parameters."""
+    if not isinstance(declared, type) or declared is Any:
+        return
+    if not issubclass(declared, Struct | Mapping):
+        raise UsageError(
+            f"{component.__qualname__}: `parameters: {declared.__qualname__}` declares "
+            "nothing; let that class inherit from poise.Message"
+        )
 
 
 def _check_coroutines(component: type, ports: Mapping[str, Port]) -> None:
