@@ -104,6 +104,7 @@ class FakeAgents:
         self.own_keys = None
         self.heartbeats = self
         self.gone: set[str] = set()
+        self.others: dict[str, str] = {}
         self.lasting: set[str] = set()
         self.lasting_leases: set[str] = set()
         self.heard: set[str] = set()
@@ -198,6 +199,9 @@ class FakeAgents:
 
     def out_of_reach(self) -> dict[str, float]:
         return dict.fromkeys(self.gone, 0.0)
+
+    def other_agent(self, computer: str) -> str:
+        return self.others.get(computer, "")
 
     def claim(
         self, computers: Collection[str], *, take_over: bool = False

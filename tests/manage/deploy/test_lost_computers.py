@@ -196,6 +196,16 @@ def test_a_computer_where_nothing_runs_is_told_to_accept_no_connection(
     )
 
 
+def test_the_agent_of_another_computer_at_its_address_is_told_of(robot: Robot) -> None:
+    """Somebody has started the agent anew, with another name."""
+    agents = FakeAgents("left", "right")
+    live = started(robot, agents)
+    agents.gone |= {"left", "right"}
+    agents.others["right"] = "there is the agent of computer 'rite'"
+    assert live.unreached()["right"].endswith("; there is the agent of computer 'rite'")
+    assert "there is" not in live.unreached()["left"]
+
+
 def test_reports_that_come_without_heartbeats_are_said(
     robot: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -183,18 +183,21 @@ class AgentReports:
 
     def raise_on_other_agents(self, missing: Iterable[str]) -> None:
         """Raise RunError when others than the agents of `missing` are there."""
-        others = []
-        for computer in sorted(missing):
-            locator = self._endpoints[computer]
-            found = self._identities.get(locator, (self._robot, computer))
-            if found != (self._robot, computer):
-                others.append(
-                    f"at {locator.removeprefix('tcp/')} there is the agent of computer "
-                    f"'{found[1]}' of robot '{found[0]}', not of computer '{computer}' "
-                    f"of robot '{self._robot}'"
-                )
-        if others:
-            raise RunError("; ".join(others))
+        others = [self.other_agent(computer) for computer in sorted(missing)]
+        if any(others):
+            raise RunError("; ".join(filter(None, others)))
+
+    def other_agent(self, computer: str) -> str:
+        """Return whose agent is at a computer's address instead; empty: no other's."""
+        locator = self._endpoints[computer]
+        found = self._identities.get(locator, (self._robot, computer))
+        if found == (self._robot, computer):
+            return ""
+        return (
+            f"at {locator.removeprefix('tcp/')} there is the agent of computer "
+            f"'{found[1]}' of robot '{found[0]}', not of computer '{computer}' "
+            f"of robot '{self._robot}'"
+        )
 
     def pop_refused(self) -> list[str]:
         """Return new reasons why records were refused, each once."""

@@ -202,10 +202,18 @@ class LiveRobot(DesiredState):
             if now - since > 2 * _REPORTS_WITHIN
             and ages.get(name, inf) < _REPORTS_WITHIN
         }
-        leased = self.layout.leased
-        return unreached(
-            out_of_reach, self.placement(), heard, heard_by, reporting, leased
+        said = unreached(
+            out_of_reach,
+            self.placement(),
+            heard,
+            heard_by,
+            reporting,
+            self.layout.leased,
         )
+        return {
+            name: "; ".join(filter(None, (what, self.agents.other_agent(name))))
+            for name, what in said.items()
+        }
 
     def cancel(self) -> None:
         """End what waits for agents: a change of the placement is rolled back."""
