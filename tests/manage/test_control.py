@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import os
 import shutil
 import socket
 import tempfile
@@ -80,6 +81,21 @@ def test_returns_the_managers_result(server: ControlServer) -> None:
         future.set_result(StopReport(("a container",)))
         assert result.result(LIMIT) == StopReport(("a container",))
     assert command == StopCommand()
+
+
+def test_a_folder_that_is_read_only_meanwhile_lets_the_manager_end(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def refuse(path: Path) -> None:
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(path))
+
+    socket_path = folder / "first.sock"
+    with monkeypatch.context() as patch:
+        with ControlServer("first"):
+            patch.setattr(Path, "unlink", refuse)
+        assert str(socket_path) in caplog.text
+    with pytest.raises(ConnectionRefusedError), socket.socket(socket.AF_UNIX) as client:
+        client.connect(str(socket_path))
 
 
 def test_a_damaged_note_of_another_robot_does_no_harm(

@@ -76,9 +76,13 @@ class ControlServer:
 
     def close(self) -> None:
         """Serve no more clients, and let those that have their result take it."""
-        with contextlib.suppress(FileNotFoundError):
+        try:
             if self._path.stat().st_ino == self._inode:  # else it is a successor's
                 self._path.unlink()
+        except FileNotFoundError:
+            pass
+        except OSError as error:  # the next manager replaces it
+            log.warning("the socket of this manager stays: %s", error)
         self._is_closed.set()
         with contextlib.suppress(OSError):
             self._listener.shutdown(socket.SHUT_RDWR)  # which wakes `accept`
