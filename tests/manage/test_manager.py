@@ -273,6 +273,13 @@ def test_a_stop_that_comes_after_the_end_is_answered(managed: Managed) -> None:
     assert asked.result(0.0) == StopReport(())
 
 
+def test_the_journal_says_that_a_stop_was_asked_for(managed: Managed) -> None:
+    managed.manager.submit(StopCommand())
+    managed.manager.submit(StopCommand())
+    said = [entry.what for entry in managed.journal.entries()]
+    assert said.count("asked to stop the robot") == 1
+
+
 def test_who_asks_for_a_stop_learns_what_remains_and_nothing_else(
     managed: Managed,
 ) -> None:

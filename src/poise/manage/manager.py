@@ -152,6 +152,8 @@ class Manager:
         if isinstance(command, StopCommand) and self._ended is not None:
             future.set_result(self._ended)
         elif isinstance(command, StopCommand):
+            if not self.is_stopping:
+                self._live.journal.note("seen", "asked to stop the robot")
             self._stops.append(future)  # before the flag, or nobody answers it
             self._stopping.set()
             self._live.cancel()
