@@ -173,7 +173,7 @@ def state(process):
     return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
 
 adopt_orphans()
-daemon = "trap '' TERM; while :; do sleep 0.01; done"
+daemon = "trap '' TERM; exec sleep 100"
 command = ("sh", "-c", f'(setsid sh -c "{daemon}" &); exec sleep 100')
 runner = runner_of(ComponentSpec(name="one", goal="active", command=command), Path())
 runner.aim("active")
