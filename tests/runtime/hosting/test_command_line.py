@@ -172,13 +172,17 @@ from tests.waiting import wait_until
 def state(process):
     return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
 
+def program(process):
+    return Path(f"/proc/{process}/cmdline").read_text().split("\\0")[0]
+
 adopt_orphans()
 daemon = "trap '' TERM; exec sleep 100"
 command = ("sh", "-c", f'(setsid sh -c "{daemon}" &); exec sleep 100')
 runner = runner_of(ComponentSpec(name="one", goal="active", command=command), Path())
 runner.aim("active")
 reach(runner, "active")
-wait_until(lambda: len({os.getsid(child) for child in children()}) == 2)
+wait_until(lambda: [program(c) for c in children()] == 2 * ["sleep"])
+assert len({os.getsid(c) for c in children()}) == 2
 runner.component.freeze(is_frozen=True)
 wait_until(lambda: all(state(c) == "T" for c in children()))
 runner.component.freeze(is_frozen=False)
