@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -131,6 +132,14 @@ def test_a_timer_has_a_period_that_a_clock_can_count(given: dict[str, float]) ->
         every(**given)
 
 
+@pytest.mark.parametrize(
+    "given", [{"period": "0.1"}, {"hz": "10"}, {"period": 1, "deadline": [1]}]
+)
+def test_a_timer_takes_its_times_as_numbers(given: Any) -> None:
+    with pytest.raises(UsageError, match="seconds as a number, as in @every"):
+        every(**given)
+
+
 def test_a_timer_has_a_period_or_a_rate() -> None:
     for wrong in ({}, {"period": 0.1, "hz": 10}):
         with pytest.raises(UsageError, match=r"give either, as in @every\(0.1\)"):
@@ -234,6 +243,82 @@ def test_what_poise_calls_is_no_coroutine() -> None:
         with pytest.raises(UsageError, match=rf"{name}: .*without `async`"):
             ports_of(class_)
     assert ports_of(Own) == {}
+
+
+class Loose(Component):
+    """Takes what Poise calls it with in ways of its own."""
+
+    walls: Provided[Walls]
+
+    def __init__(self, speed: float = 1.0, *_: float) -> None: ...
+
+    @staticmethod
+    def near(where: Pose, most: float) -> float: ...  # type: ignore[empty-body]
+
+    @classmethod
+    def forget(cls, *_: object) -> None: ...
+
+    def restore(self, state: Pose, *, quickly: bool = False) -> None: ...
+
+    def begin(self, *actions: str) -> None: ...
+
+    @staticmethod
+    @every(1.0)
+    def tick(*_: object, **__: object) -> None: ...
+
+
+def test_a_method_that_can_be_called_may_take_more() -> None:
+    assert list(ports_of(Loose)) == ["walls"]
+    assert list(timers_of(Loose)) == ["tick"]
+
+
+def test_what_poise_calls_takes_what_it_gives() -> None:
+    class Built(Component):
+        def __init__(self, speed: float) -> None: ...
+
+    class Hooked(Component):
+        def snapshot(self, all_of_it: bool) -> None: ...  # type: ignore[override]  # noqa: FBT001
+
+    class Restored(Component):
+        def restore(self) -> None: ...  # type: ignore[override]
+
+    class Timed(Component):
+        @every(1.0)
+        def tick(self, now: float) -> None: ...
+
+    class Selfless(Component):
+        @every(1.0)
+        def tick() -> None: ...  # type: ignore[misc]
+
+    class Watching(Component):
+        @subscribed()
+        def scan(self, message: Pose) -> None: ...
+
+        @lost("scan")
+        def brake(self, port: str) -> None: ...
+
+    for class_, method in (
+        (Built, "__init__(self)"),
+        (Hooked, "snapshot(self)"),
+        (Restored, "restore(self, state)"),
+        (Timed, "tick(self)"),
+        (Selfless, "tick(self)"),
+        (Watching, "brake(self)"),
+    ):
+        with pytest.raises(UsageError, match=re.escape(f"write `def {method}`")):
+            ports_of(class_)
+
+
+def test_a_provided_method_takes_what_its_interface_says() -> None:
+    class Few(Loose):
+        def near(self, pose: Pose) -> float: ...  # type: ignore[override, empty-body]
+
+    class Many(Loose):
+        def forget(self, pose: Pose, why: str) -> None: ...  # type: ignore[override]
+
+    for class_, method in ((Few, "near(self, pose, limit)"), (Many, "forget(self)")):
+        with pytest.raises(UsageError, match=re.escape(f"write `def {method}`")):
+            ports_of(class_)
 
 
 def test_the_type_of_a_port_is_not_assigned() -> None:

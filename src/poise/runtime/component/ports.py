@@ -26,7 +26,8 @@ import inspect
 import reprlib
 from collections.abc import Callable, Container, Iterator, Mapping
 from itertools import chain
-from types import FunctionType
+from numbers import Real
+from types import FunctionType, NoneType
 from typing import (
     Annotated,
     Any,
@@ -43,6 +44,7 @@ import msgspec
 from msgspec import Struct, StructMeta
 
 from poise.errors import UsageError, did_you_mean, listed
+from poise.runtime.component.signatures import check_takes
 
 I = TypeVar("I")  # noqa: E741, an interface
 M = TypeVar("M")
@@ -264,6 +266,11 @@ def every(
     """
     if callable(period):
         raise UsageError("@every takes its period [s], as in @every(0.1)")
+    for given in (period, hz, deadline):
+        if not isinstance(given, Real | NoneType):
+            raise UsageError(
+                f"@every takes seconds as a number, as in @every(0.1), not {given!r}"
+            )
     if (period is None) == (hz is None):
         raise UsageError(
             f"every({period}, hz={hz}): give either, as in @every(0.1) or every(hz=10)"
@@ -298,6 +305,9 @@ _OWN = ("name", "clock", "log", "tasks", "start_call", "age", "device", "measure
 """What `Component` offers, apart from the hooks that classes define."""
 _HOOKS = ("configure", "reconfigure", "activate", "begin", "deactivate", "cleanup")
 _STATE_HOOKS = ("snapshot", "restore", "snapshot_delta", "restore_delta")
+_TAKE = {"reconfigure": "parameters", "begin": "action", "restore": "state"}
+_TAKE |= {"restore_delta": "delta"}
+"""Hooks that take an argument -> its name."""
 _RUNS_LATER = inspect.CO_COROUTINE | inspect.CO_GENERATOR | inspect.CO_ASYNC_GENERATOR
 _MARKS = ("__poise_queue__", "__poise_input__", "__poise_timer__")
 """What `subscribed`, `lost`, `found` and `every` leave at a method."""
@@ -307,8 +317,9 @@ def ports_of(component: type) -> Mapping[str, Port]:
     """Return the ports of a component class by name.
 
     Raises UsageError: when a subscribed method does not say its message's type, a
-    provided interface has a method that the component lacks, the class hides what
-    `Component` offers, or has what is meant as a port or method and would do nothing.
+    provided interface has a method that the component lacks, a method cannot be called
+    as Poise does, the class hides what `Component` offers, or has what is meant as a
+    port or method and would do nothing.
     """
     hints = get_type_hints(component, include_extras=True)
     _check_names(component, hints)
@@ -333,6 +344,7 @@ def ports_of(component: type) -> Mapping[str, Port]:
     _check_assigned(component)
     _check_parameters(component, hints.get("parameters"))
     _check_coroutines(component, ports)
+    _check_calls(component)
     for (event, name), methods in watchers_of(component).items():
         inputs = [port.name for port in ports.values() if port.kind == "subscribes"]
         if name not in inputs:
@@ -397,6 +409,13 @@ def _check_coroutines(component: type, ports: Mapping[str, Port]) -> None:
                 f"{component.__qualname__}.{name}: Poise calls it and awaits nothing; "
                 "write it without `async` and `yield`"
             )
+
+
+def _check_calls(component: type) -> None:
+    """Raise UsageError when a method cannot be called as Poise does."""
+    watchers = chain.from_iterable(watchers_of(component).values())
+    for name in ("__init__", *_HOOKS, *_STATE_HOOKS, *timers_of(component), *watchers):
+        check_takes(component, name, [_TAKE[name]] if name in _TAKE else [])
 
 
 def watchers_of(component: type) -> Mapping[tuple[InputEvent, str], list[str]]:
@@ -464,3 +483,8 @@ def _check_provided(component: type, port: Port) -> None:
             f"{component.__qualname__} provides {port.name}: "
             f"{port.type.__qualname__}, but has no method {', '.join(missing)}"
         )
+    for name in methods_of(port.type):
+        signature = inspect.signature(getattr(port.type, name))
+        own = list(signature.parameters.values())[1:]
+        if all(p.kind <= p.POSITIONAL_OR_KEYWORD for p in own):  # has a place
+            check_takes(component, name, [p.name for p in own])

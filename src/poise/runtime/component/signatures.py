@@ -1,0 +1,30 @@
+"""Whether the methods of a component can take what Poise calls them with."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Sequence
+from types import FunctionType
+
+from poise.errors import UsageError
+
+_FUNCTIONS = (FunctionType, staticmethod, classmethod)
+
+
+def check_takes(component: type, name: str, arguments: Sequence[str] = ()) -> None:
+    """Raise UsageError when a method cannot be called with so many arguments.
+
+    What is no function, such as what is written in C++, is not looked into.
+    """
+    method = inspect.getattr_static(component, name, None)
+    if not isinstance(method, _FUNCTIONS):
+        return
+    try:
+        called = method.__get__(object(), component)
+        inspect.signature(called, follow_wrapped=False).bind(*arguments)
+    except (TypeError, ValueError):  # ValueError: it lacks `self`
+        wanted = ", ".join(("self", *arguments))
+        raise UsageError(
+            f"{component.__qualname__}.{name} does not take what Poise calls it with; "
+            f"write `def {name}({wanted})`, where further parameters need defaults"
+        ) from None
