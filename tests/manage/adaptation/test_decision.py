@@ -291,9 +291,22 @@ def test_a_chain_that_is_slow_off_the_wire_is_explained(situation: Make) -> None
     found = decide(with_chain(situation(), slow))
     assert not found.acts
     assert found.why.startswith(
-        "the data of chain 'c' must not be older than 100 ms and is 350 ms old, 300 ms "
-        "if all of the chain were on one computer (a -> b 350 ms); "
+        "the data of chain 'c' must not be older than 100 ms and is 350 ms old "
+        "(a -> b 350 ms); what arrived was under way for 50 ms; "
     )
+
+
+def test_data_that_did_not_arrive_is_not_said_to_be_slow_off_the_wire(
+    situation: Make,
+) -> None:
+    """A timer of `b` used old data while the link was cut: 0.9 s, and 2 ms before."""
+    cut = replace(LATE, ages={"a": 0.0, "b": 0.9}, wires={"a": 0.0, "b": 0.002})
+    found = decide(with_chain(situation(), cut))
+    assert "one computer" not in found.why
+    assert "is 900 ms old (a -> b 900 ms); what arrived was under way for 2" in (
+        found.why
+    )
+    assert "a link is cut" in found.why
 
 
 def test_what_is_short_of_cpu_does_not_go_where_a_chain_would_be_late(

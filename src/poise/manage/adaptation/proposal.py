@@ -118,7 +118,10 @@ def nothing_helps(situation: Situation, gone: str = "") -> str:
         return (
             f"{what}Lost with their computers: {gone}; components that need them wait"
         )
-    return f"{what}Check whether a component is blocked, or a deadline too short"
+    return (
+        f"{what}Check whether a component is blocked, a link is cut or slow, or a "
+        "deadline too short"
+    )
 
 
 def taken_by_others(situation: Situation) -> str:
@@ -144,13 +147,12 @@ def late(situation: Situation) -> str:
 
 
 def _sentence(chain: ChainAge) -> str:
-    age = chain.ages[chain.last]
-    best = age - sum(chain.wires.values())
+    under_way = max(0.0, sum(chain.wires.values()))
     return (
         f"the data of chain '{chain.chain}' must not be older than "
-        f"{format_seconds(chain.deadline)} and is {format_seconds(age)} old, "
-        f"{format_seconds(max(0.0, best))} if all of the chain were on one computer "
-        f"({chain})"
+        f"{format_seconds(chain.deadline)} and is "
+        f"{format_seconds(chain.ages[chain.last])} old ({chain}); what arrived was "
+        f"under way for {format_seconds(under_way)}"
     )
 
 
