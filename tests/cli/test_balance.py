@@ -39,6 +39,28 @@ def test_why_it_was_called_off_is_told_as_it_is(
     assert f"rolled back: {WHY}" in capsys.readouterr().out
 
 
+def test_says_how_much_of_f_is_for_the_moves(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """That of `poise move --dry-run` is without them."""
+    now = Terms(total=0.05, communication=0.0, balance=0.05)
+    then = Terms(total=0.02143, communication=0.0, balance=0.01143, move=0.01)
+    proposal = Proposal(
+        shifted={},
+        now=now,
+        then=then,
+        placement={"eye": "b"},
+        steps=(TransitionStep("eye", "a", "b"),),
+    )
+    monkeypatch.setattr(
+        "poise.manage.control_socket.control_client.send_command",
+        lambda *_: Rebalanced(proposal),
+    )
+    balance_command(dry=True)
+    said = capsys.readouterr().out
+    assert "F = 0.05 becomes 0.02143, 0.01 of it for the moves, by:" in said
+
+
 def test_an_outcome_that_was_rolled_back_is_json_too(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -23,6 +23,7 @@ def test_says_loads_limits_and_what_the_move_costs(situation: Make) -> None:
     assert not seen.breaks
     assert seen.downtime == 0.5
     assert seen.cost == pytest.approx(0.3 + 0.2 * 0.5)
+    assert any("without the cost of the move" in line for line in what_if_lines(seen))
 
 
 def test_says_which_limits_the_move_would_break(situation: Make, two: Robot) -> None:

@@ -276,7 +276,7 @@ def what_if_lines(what_if: WhatIf) -> Iterator[str]:
     if what_if.trouble:
         yield f"as it is: {what_if.trouble}"
     now, then = what_if.now.total, what_if.then.total
-    yield f"F = {now:.4g} would become {then:.4g}"
+    yield f"F = {now:.4g} would become {then:.4g}, without the cost of the move"
     for computer, (before, after) in what_if.loads.items():
         yield (
             f"components on {computer} need {before:.1%} of a core, and would need "
@@ -305,8 +305,9 @@ def _proposal_lines(proposal: Proposal) -> Iterator[str]:
     if not proposal.steps:
         yield f"best as it is{known}: F = {proposal.now.total:.4g}"
         return
-    now, then = proposal.now.total, proposal.then.total
-    yield f"F = {now:.4g} becomes {then:.4g}{known}, by:"
+    now, then = proposal.now, proposal.then
+    moves = f", {then.move - now.move:.4g} of it for the moves"
+    yield f"F = {now.total:.4g} becomes {then.total:.4g}{moves}{known}, by:"
     for step in proposal.steps:
         yield f"  {step}"
 
