@@ -10,7 +10,8 @@ from msgspec.structs import replace
 from poise.manage.tasks.concurrent_tasks import TaskReport
 from poise.session.render.simulation_tables import compared, late, span, verdict
 from poise.session.simulate import Simulation, SimulationComparison
-from poise.simulation.simulation_report import SimulationReport
+from poise.simulation.faults import SimulatedFault
+from poise.simulation.simulation_report import SimulatedEvent, SimulationReport
 from tests.session.fake_rehearsal import REPORT, timer
 
 
@@ -119,6 +120,19 @@ def test_chains_moves_outages_and_guesses_are_there() -> None:
     for text in ("25.0%", "'right' is lost", "6.5 s", "10 min 5 s", "assumed: printer"):
         assert text in said
     assert "36000 messages processed, 3 dropped" in said
+
+
+def test_faults_are_listed_and_too_many_are_counted() -> None:
+    fault = SimulatedFault(kind="kill agent", target="right", lasts=2.9, at=536.758)
+    events = [
+        SimulatedEvent(at=fault.at, who="fault", kind="fault", what=str(fault)),
+        SimulatedEvent(at=540.0, who="left", kind="lost", what="'right' is lost"),
+    ]
+    said = lines(replace(REPORT, events=(events[0], events[1])))
+    assert said.count("fault at 536.76 s: kill agent right for 2.90 s") == 1
+    said = lines(replace(REPORT, events=(*events, *14 * events[:1])))
+    assert sum(each.startswith("fault at ") for each in said) == 12
+    assert "3 more faults; `--json` has all" in said
 
 
 def test_a_chain_that_was_never_used_has_no_ages() -> None:

@@ -25,14 +25,14 @@ from poise.simulation.simulation_report import (
 from poise.units import counted, format_bytes, format_seconds
 
 MOST_ROWS = 12
-"""More timers, moves, outages or guesses than this are counted; `--json` has all."""
+"""More timers, faults, moves, outages or guesses are counted; `--json` has all."""
 _EARLY = 1e-3
 """What the time may be short by because of rounding [s]."""
 _MINUTE, _HOUR = 60.0, 3600.0
 
 
 def simulation_parts(report: SimulationReport) -> Iterator[RenderableType]:
-    """Yield the verdict, then computers, deadlines, chains, moves and outages."""
+    """Yield the verdict, then computers, deadlines, chains, faults, moves, outages."""
     colour = "red" if report.violations else "bold"
     yield f"[{colour}]{escape(verdict(report))}[/]"
     for sentence in report.violations[1:]:
@@ -41,6 +41,7 @@ def simulation_parts(report: SimulationReport) -> Iterator[RenderableType]:
     yield _computers(report)
     yield from _timers(report)
     yield from _chains(report)
+    yield from _faults(report)
     yield from _moves(report)
     yield from _outages(report)
     yield _messages(report)
@@ -235,6 +236,13 @@ def _chains(report: SimulationReport) -> Iterator[RenderableType]:
         rows.add_row(*head, part, *ages)
     if rows.row_count:
         yield rows
+
+
+def _faults(report: SimulationReport) -> Iterator[str]:
+    faults = [each for each in report.events if each.who == _FAULT]
+    for each in faults[:MOST_ROWS]:
+        yield escape(f"fault at {each.what}")
+    yield from _more(len(faults), "fault")
 
 
 def _moves(report: SimulationReport) -> Iterator[RenderableType]:
