@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from math import ceil
 
 from msgspec import Struct, structs
 
@@ -93,8 +94,8 @@ class Canaries:
         """Return what is watched, in words; from any thread."""
         now = self._live.clock.now()
         return tuple(
-            f"new code of component '{name}' is watched for {trial.until - now:.0f} s "
-            "more"
+            f"new code of component '{name}' is watched for "
+            f"{max(1, ceil(trial.until - now))} s more"
             for name, trial in self._trials.copy().items()
         )
 
