@@ -140,12 +140,16 @@ def test_it_is_asked_to_end_and_may_tidy_up(running: Running) -> None:
     running.wait_says("bye")
 
 
-def test_one_that_will_not_end_is_killed(running: Running) -> None:
+def test_one_that_will_not_end_is_killed(
+    running: Running, caplog: pytest.LogCaptureFixture
+) -> None:
     runner = running.shell("trap '' TERM; echo up; while :; do sleep 0.01; done")
     running.wait_says("up")
     runner.aim("finalized")
     assert runner.wait_ended(LIMIT)
     running.wait_over()
+    said = "its command did not end within 5 s of SIGTERM: it is killed"
+    assert [record.getMessage() for record in caplog.records] == [said]
 
 
 def test_what_it_started_ends_with_it(running: Running) -> None:

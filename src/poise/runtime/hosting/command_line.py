@@ -89,6 +89,9 @@ class CommandLine(Component):
             (signal.SIGTERM, _STOP_LIMIT),
             (signal.SIGKILL, _KILL_LIMIT),
         ):
+            if number == signal.SIGKILL:
+                text = "its command did not end within %g s of SIGTERM: it is killed"
+                self.log.warning(text, _STOP_LIMIT)
             self._signal(number)
             self._signal(signal.SIGCONT)
             self._watcher.join(limit)
