@@ -9,9 +9,15 @@ from msgspec.structs import replace
 from rich.console import Console
 
 from poise.estimate import profiles as profile_file
-from poise.estimate.profiles import ComponentProfile, Distribution, Profile, Store
+from poise.estimate.profiles import (
+    ComponentProfile,
+    Distribution,
+    Profile,
+    Store,
+    TimerProfile,
+)
 from poise.model import load
-from poise.session.render.profile_tables import history_table
+from poise.session.render.profile_tables import history_table, show_profile
 from tests.command import Poise
 
 ROBOT = """\
@@ -73,6 +79,37 @@ def test_what_was_not_there_is_empty() -> None:
         x for x in text([replace(BEFORE, components={})]).splitlines() if "eye" in x
     )
     assert re.split(r"\s{2,}", row.strip()) == ["eye", "30.00%, 2 MiB"]
+
+
+def shown(folder: Path, **timers: TimerProfile) -> str:
+    """Return what is printed of a profile of a robot without connectors."""
+    file = folder / "robot.yaml"
+    file.write_text(ROBOT.replace("profile: profile.yaml\n", ""))
+    out = io.StringIO()
+    profile = replace(NOW, components={"eye": replace(eye(0.3), timers=timers)})
+    console = Console(file=out, width=80, color_system=None)
+    show_profile(load(file), profile, console)
+    return out.getvalue()
+
+
+def test_a_timer_that_never_ran_has_no_times(tmp_path: Path) -> None:
+    ran = TimerProfile(period=0.1, median=0.01, p99=0.02, maximum=0.03)
+    never = TimerProfile(period=30.0, median=0.0, p99=0.0, maximum=0.0)
+    lines = shown(tmp_path, look=ran, rest=never).splitlines()
+    rows = [re.split(r"\s{2,}", x.strip()) for x in lines if x.startswith("eye.")]
+    assert rows == [
+        ["eye.look", "100 ms", "10 ms", "20 ms", "30 ms", "0.0%"],
+        ["eye.rest", "30 s"],
+    ]
+    (said,) = (x for x in lines if x.startswith("not known"))
+    assert "eye.rest runs, as no run ended" in said
+
+
+def test_a_table_without_rows_is_left_out(tmp_path: Path) -> None:
+    said = shown(tmp_path)
+    assert "timer" not in said
+    assert "connector" not in said
+    assert "overhead" not in said
 
 
 @pytest.mark.slow

@@ -30,13 +30,22 @@ def show_profile(robot: Robot, profile: Profile, console: Console) -> None:
     }
     console.print(_cpu(found))
     console.print(_needs(found))
-    console.print(_timers(found))
-    console.print(_connectors(robot, profile))
-    unit = "hundredths of a core" if profile.costs else "MB/s"
-    console.print(f"overhead in {unit}, while the ends are apart")
+    if any(component.timers for component in found.values()):
+        console.print(_timers(found))
+    connectors = _connectors(robot, profile)
+    if connectors.row_count:
+        console.print(connectors)
+        unit = "hundredths of a core" if profile.costs else "MB/s"
+        console.print(f"overhead in {unit}, while the ends are apart")
     for name, each in found.items():
         if not each.stable:
             console.print(f"[yellow]unstable: {name} ± {each.repeat / 2:.1%}[/]")
+        for timer, times in each.timers.items():
+            if not times.maximum:
+                console.print(
+                    f"[yellow]not known: how long {name}.{timer} runs, as no run "
+                    f"ended; measure for more than {format_seconds(times.period)}[/]"
+                )
 
 
 def history_table(now: Profile, earlier: Sequence[Profile]) -> Table:
@@ -102,14 +111,12 @@ def _timers(found: Mapping[str, ComponentProfile]) -> Table:
     rows = table("timer", "period", "median", "p99", "longest", "missed")
     for name, component in found.items():
         for timer, times in component.timers.items():
-            rows.add_row(
-                f"{name}.{timer}",
-                format_seconds(times.period),
-                format_seconds(times.median),
-                format_seconds(times.p99),
-                format_seconds(times.maximum),
-                f"{times.missed:.1%}",
-            )
+            head = f"{name}.{timer}", format_seconds(times.period)
+            if times.maximum:
+                taken = map(format_seconds, (times.median, times.p99, times.maximum))
+                rows.add_row(*head, *taken, f"{times.missed:.1%}")
+            else:
+                rows.add_row(*head)
     return rows
 
 
