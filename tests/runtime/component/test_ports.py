@@ -32,6 +32,7 @@ from poise.runtime.component.ports import (
     timers_of,
 )
 from poise.runtime.connectors.interface import methods
+from poise.runtime.hosting import cpp_component
 
 
 class Pose(Message):
@@ -270,6 +271,18 @@ class Loose(Component):
 def test_a_method_that_can_be_called_may_take_more() -> None:
     assert list(ports_of(Loose)) == ["walls"]
     assert list(timers_of(Loose)) == ["tick"]
+
+
+def test_a_method_in_cpp_takes_what_its_instance_does() -> None:
+    """Its class in Python says nothing of a hook's argument but its type."""
+    maps: dict[str, Any] = {"published": {}, "required": {}, "provided": {}}
+    lists: dict[str, Any] = {"latest": [], "subscribed": [], "timers": []}
+    hooks = dict.fromkeys(("configure", "begin", "reconfigure"))
+    declared = {**maps, **lists, "hooks": hooks}
+    class_ = cpp_component.component(
+        "InCpp", "parts", declared, lambda _: ({}, print, 0)
+    )
+    assert ports_of(class_) == {}
 
 
 def test_what_poise_calls_takes_what_it_gives() -> None:

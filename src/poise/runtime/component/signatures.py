@@ -14,10 +14,11 @@ _FUNCTIONS = (FunctionType, staticmethod, classmethod)
 def check_takes(component: type, name: str, arguments: Sequence[str] = ()) -> None:
     """Raise UsageError when a method cannot be called with so many arguments.
 
-    What is no function, such as what is written in C++, is not looked into.
+    What is no function, or says that it has another signature than its code, such as
+    what is written in C++, is not looked into.
     """
     method = inspect.getattr_static(component, name, None)
-    if not isinstance(method, _FUNCTIONS):
+    if not isinstance(method, _FUNCTIONS) or hasattr(method, "__signature__"):
         return
     try:
         called = method.__get__(object(), component)
