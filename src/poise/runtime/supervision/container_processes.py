@@ -314,7 +314,7 @@ class PendingRequests:
                 reason = f"container '{container}' ended"
             elif process.is_stuck():
                 reason = _why_silent(process)
-            elif now > pending.limit:
+            elif now >= pending.limit:
                 reason = (
                     f"container '{container}' took over {pending.request.limit:.3g} s"
                 )
