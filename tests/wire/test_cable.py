@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import subprocess
 import sys
 import time
@@ -15,6 +16,7 @@ from poise.errors import CallError, Unavailable
 from poise.model.robot import Computer, Robot
 from poise.wire.address import LOST_AFTER, Address
 from poise.wire.connections.channel import Channel
+from poise.wire.connections.connection import Connection
 from tests.waiting import LIMIT, wait_until
 
 from .conftest import TEXT, call, message
@@ -130,6 +132,30 @@ def test_what_is_sent_while_a_cable_is_cut_for_a_moment_arrives(
     channel.push(message("second"), LIMIT)
     there.set_cable("up")
     assert there.line() == "second"
+
+
+def test_a_connection_goes_on_after_the_third_retransmission_in_vain(
+    there: There, channel: Channel
+) -> None:
+    """The fourth one comes when a lost computer would be given up in 3 s."""
+    channel.push(message("first"), LIMIT)
+    assert there.line() == "first"
+    (connection,) = channel._messages
+    there.set_cable("down")
+    channel.push(message("second"), LIMIT)
+    wait_until(lambda: retransmissions(connection) == 3)
+    there.set_cable("up")
+    while connection.is_idle() and retransmissions(connection):
+        time.sleep(0.01)
+    channel.push(message("third"), LIMIT)
+    assert [there.line(), there.line()] == ["second", "third"]
+    assert [*channel._messages] == [connection]
+
+
+def retransmissions(connection: Connection) -> int:
+    """Return how often TCP has sent again, in vain, what waits to be acknowledged."""
+    info = connection._connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, 3)
+    return info[2]
 
 
 def test_who_only_receives_notices_that_its_credit_reaches_nobody(
