@@ -219,6 +219,18 @@ def test_what_is_no_message_of_the_port_is_refused_near_and_far(pair: Pair) -> N
 
 
 @every_kind
+def test_what_a_closed_connector_counted_last_is_still_told(pair: Pair) -> None:
+    """Else the counts of a run that ends with its task lack what came last."""
+    source, target = start(pair, "scan")
+    source.scan.publish(scan())
+    assert len(target.wait_for(1)) == 1
+    pair.part()
+    for side in pair.sides.values():
+        (last,) = side.status()
+        assert (last.messages, last.ready) == (1, True)
+
+
+@every_kind
 def test_code_whose_port_became_another_is_named_with_its_ports(pair: Pair) -> None:
     """A replacement has what it has: the robot's check saw other code."""
     pair.run("source", Source)
