@@ -305,8 +305,12 @@ _OWN = ("name", "clock", "log", "tasks", "start_call", "age", "device", "measure
 """What `Component` offers, apart from the hooks that classes define."""
 _HOOKS = ("configure", "reconfigure", "activate", "begin", "deactivate", "cleanup")
 _STATE_HOOKS = ("snapshot", "restore", "snapshot_delta", "restore_delta")
-_TAKE = {"reconfigure": "parameters", "begin": "action", "restore": "state"}
-_TAKE |= {"restore_delta": "delta"}
+_TAKE = {
+    "reconfigure": "parameters",
+    "begin": "action",
+    "restore": "state",
+    "restore_delta": "delta",
+}
 """Hooks that take an argument -> its name."""
 _RUNS_LATER = inspect.CO_COROUTINE | inspect.CO_GENERATOR | inspect.CO_ASYNC_GENERATOR
 _MARKS = ("__poise_queue__", "__poise_input__", "__poise_timer__")

@@ -12,10 +12,10 @@ _FUNCTIONS = (FunctionType, staticmethod, classmethod)
 
 
 def check_takes(component: type, name: str, arguments: Sequence[str] = ()) -> None:
-    """Raise UsageError when a method cannot be called with so many arguments.
+    """Raise UsageError when a method does not take as many arguments as Poise gives.
 
-    What is no function, or says that it has another signature than its code, such as
-    what is written in C++, is not looked into.
+    Only functions are checked, and only by their own parameters: those written in C++,
+    which have a signature of their own, are not.
     """
     method = inspect.getattr_static(component, name, None)
     if not isinstance(method, _FUNCTIONS) or hasattr(method, "__signature__"):
