@@ -168,7 +168,7 @@ def test_daemons_that_it_started_stop_and_end_with_it() -> None:
 DAEMON = """
 import os
 from pathlib import Path
-from poise.runtime.container.descendants import adopt_orphans, children
+from poise.runtime.hosting.descendants import adopt_orphans, children
 from poise.wire.records.deployment_records import ComponentSpec
 from tests.runtime.hosting.test_command_line import reach, runner_of
 from tests.waiting import wait_until

@@ -48,7 +48,7 @@ from poise.runtime.agent.surroundings import (
 )
 from poise.runtime.container import zygote
 from poise.runtime.container.component_import import CODE_FOLDER
-from poise.runtime.container.descendants import kill_all
+from poise.runtime.hosting.descendants import kill_all
 from poise.runtime.supervision.adopted_containers import AdoptedContainers
 from poise.runtime.supervision.container_processes import ProcessEnd
 from poise.runtime.supervision.health import Silence

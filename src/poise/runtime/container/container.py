@@ -41,12 +41,12 @@ from poise.runtime.connectors.sender import Sender
 from poise.runtime.connectors.tap import Taps
 from poise.runtime.container.agent_link import AgentLink
 from poise.runtime.container.component_import import folder_of, prepare
-from poise.runtime.container.descendants import Orphans
 from poise.runtime.execution.container_lease import LeaseEnd
 from poise.runtime.execution.counters import ComponentKey, StatsPage
 from poise.runtime.execution.data_age import ComputerClock
 from poise.runtime.hosting.checkpoints import Checkpoints
 from poise.runtime.hosting.command_line import freeze_fenced
+from poise.runtime.hosting.descendants import Orphans
 from poise.runtime.hosting.output import output_trouble
 from poise.runtime.hosting.outside_requests import OutsideRequests
 from poise.runtime.hosting.runner import Runner

@@ -31,7 +31,7 @@ from poise.runtime.container.agent_link import (
     take_over,
 )
 from poise.runtime.container.container import Container
-from poise.runtime.container.descendants import (
+from poise.runtime.hosting.descendants import (
     adopt_orphans,
     children,
     end_children,

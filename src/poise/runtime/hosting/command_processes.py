@@ -8,6 +8,8 @@ import signal
 import time
 from pathlib import Path
 
+from poise.runtime.hosting.descendants import children
+
 NAME = "POISE_COMPONENT"
 """The variable that tells a command, and what it starts, which component it is."""
 GONE_LIMIT = 0.5
@@ -38,18 +40,10 @@ def _processes_of(component: str) -> list[int]:
     """Return this process's descendants with the component's name that still run."""
     found, parents = list[int](), [os.getpid()]
     while parents:
-        for child in _children(parents.pop()):
+        for child in children(parents.pop()):
             parents.append(child)
             with contextlib.suppress(OSError):  # it has ended, or gained rights
                 environment = Path(f"/proc/{child}/environ").read_bytes()
                 if f"{NAME}={component}".encode() in environment.split(b"\0"):
                     found.append(child)
     return found
-
-
-def _children(process: int) -> list[int]:
-    children = list[int]()
-    with contextlib.suppress(OSError):  # it has ended
-        for thread in Path(f"/proc/{process}/task").iterdir():
-            children += map(int, (thread / "children").read_text().split())
-    return children

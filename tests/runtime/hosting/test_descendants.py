@@ -13,7 +13,7 @@ pytestmark = pytest.mark.slow
 
 CODE = """
 import os, subprocess, threading
-from poise.runtime.container.descendants import Orphans, adopt_orphans, children
+from poise.runtime.hosting.descendants import Orphans, adopt_orphans, children
 
 now, steps, lasting = 0.0, threading.Semaphore(0), threading.Semaphore(0)
 adopt_orphans()

@@ -32,15 +32,15 @@ def gain_no_rights() -> None:
     ctypes.CDLL(None).prctl(_PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0)
 
 
-def children() -> set[int]:
-    """Return the processes whose parent is this process."""
-    return set().union(*_children_by_thread().values())
+def children(process: int = 0) -> set[int]:
+    """Return the processes whose parent is a process; 0: this one."""
+    return set().union(*_children_by_thread(process or os.getpid()).values())
 
 
-def _children_by_thread() -> dict[int, set[int]]:
+def _children_by_thread(main: int) -> dict[int, set[int]]:
     """Return each thread's children, the main thread's last, as it inherits others'."""
     children: dict[int, set[int]] = {}
-    main, tasks = os.getpid(), Path("/proc/self/task")
+    tasks = Path(f"/proc/{main}/task")
     with contextlib.suppress(OSError):
         threads = {int(folder.name) for folder in tasks.iterdir()}
         for thread in (*(threads - {main}), main):
@@ -66,7 +66,7 @@ class Orphans:
 
     def reap(self) -> None:
         """Look, and reap; call it about once a second."""
-        by_thread = _children_by_thread()
+        by_thread = _children_by_thread(os.getpid())
         adopted = by_thread.pop(os.getpid(), set())
         forked = set().union(*by_thread.values())
         # a child that has just got another parent thread may be in neither list
