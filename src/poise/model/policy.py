@@ -116,6 +116,7 @@ class ContainerValues(Struct, frozen=True, kw_only=True):
     name: Annotated[str, _NAME]
     computer: Annotated[str, _COMPUTER]
     state: Annotated[ContainerState, says("As its agent sees it.")]
+    reason: Annotated[str, says("Why it does not respond or cannot be started.")] = ""
     components: Annotated[str, says("The components in it.")] = ""
     restarts: Annotated[int, says("Restarts since the agent started.")] = 0
     restarts_lately: Annotated[int, says("Restarts within the last minute.")] = 0

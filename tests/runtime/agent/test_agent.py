@@ -729,8 +729,12 @@ def test_lives_on_without_a_free_descriptor(doomed: Manager, who: str) -> None:
     (zygote,) = children_of(agent)
     limit_descriptors(*((agent, 3) if who == "agent" else (zygote, 1)))
     doomed.deploy("quiet", "busy", "calm")
-    doomed.wait_for(lambda status: len(doomed.faults(status)) >= 3)
+    status = doomed.wait_for(lambda status: len(doomed.faults(status)) >= 3)
     assert {"cannot be started" in f.message for f in doomed.faults()} == {True}
+    known = [health(status, name) for name in ("quiet", "busy", "calm")]
+    assert {h.reason.split(":")[0] for h in known} == {"cannot be started"}
+    assert {h.restarts for h in known} == {0}  # none of them ever ran
+    assert {h.state for h in known} == {"restarting"}
     for pid in (agent, zygote):
         limit_descriptors(pid, None)
     for name in ("quiet", "busy", "calm"):

@@ -242,7 +242,11 @@ class CrashLoops:
         computers = " and ".join(f"'{computer}'" for computer in crashed)
         container = symptom.values.name
         health = situation.statuses[symptom.computer].health
-        fault = next((h.last_fault for h in health if h.name == container), None)
+        here = next((h for h in health if h.name == container), None)
+        if here and here.state == "restarting" and here.reason:
+            # what its computer lacks may be there again at any moment
+            raise RunError("it runs on no other computer; its agent keeps trying")
+        fault = here.last_fault if here else None
         way_out = "it is resumed when its code changes, or by `poise balance`"
         said = f" (the last time: {fault.message})" if fault else ""
         why = f"container '{container}' crashes again and again on {computers}{said}"

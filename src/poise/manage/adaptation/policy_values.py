@@ -109,6 +109,7 @@ def _containers(situation: Situation) -> Iterator[Values]:
                 name=health.name,
                 computer=computer,
                 state=health.state,
+                reason=health.reason,
                 restarts=health.restarts,
                 restarts_lately=health.restarts_lately,
                 cpu=health.cpu,

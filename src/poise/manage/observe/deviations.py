@@ -178,9 +178,12 @@ def explain(
     """Return what is known of an incarnation that is not as it should be."""
     what = f"component '{wanted.component}' on '{wanted.computer}'"
     if reported is None:
-        is_restarting = container is not None and container.state == "restarting"
-        restarts = ": its container is being restarted" if is_restarting else ""
-        return f"{what} does not run{restarts}"
+        if container is None or container.state != "restarting":
+            return f"{what} does not run"
+        return (
+            f"{what} does not run: its container "
+            f"{container.reason or 'is being restarted'}"
+        )
     if reported.state == "unresponsive" and container:
         return f"{what} does not respond: {container.reason}"
     last = last_error(reported.error)

@@ -73,6 +73,8 @@ class HealthRecords:
         One that was stopped begins anew: earlier faults are another session's, say.
         """
         known = self._of.get(container)
+        if known and known.state == "restarting" and known.reason:
+            return  # there is no process yet
         if known and known.state == "stopped":
             del self._of[container]
             known = None

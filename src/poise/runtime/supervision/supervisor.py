@@ -300,7 +300,8 @@ class Supervisor:
         except Unavailable:
             return  # the reason is heard next
         except OSError as error:  # no descriptor or memory is free at the moment
-            self._note_end(spec.name, f"cannot be started: {error}")
+            why = f"cannot be started: {error}"
+            self._note_end(spec.name, why, why)
             return
         self.health.note_start(spec.name)
         self.processes[spec.name] = ContainerProcess(spec, control)
@@ -324,12 +325,13 @@ class Supervisor:
         loss = process.loss(self._checkpoint_age)
         parts = [str(how), process.last_error(), loss]
         message = "; ".join(filter(None, parts))
-        self._note_end(process.name, message)
+        self._note_end(process.name, message, "" if process.pid else message)
 
-    def _note_end(self, container: str, message: str) -> None:
+    def _note_end(self, container: str, message: str, why_none: str) -> None:
+        """Record an end; `why_none`: why there was not even a process, else empty."""
         log.warning("container '%s' %s", container, message)
         self.health.note_fault(container, message)
-        self.health.enter(container, "restarting")
+        self.health.enter(container, "restarting", why_none)
         backoff = self._backoffs.setdefault(container, BackOff())
         backoff.note_end(self._clock.now(), self._random.uniform(0.5, 1))
 

@@ -217,7 +217,7 @@ class ContainerHealth(Struct, frozen=True, kw_only=True):
     # again
     state: ContainerState
     since: float  # When that state began [s since the epoch]
-    reason: str = ""  # Why it does not respond; else empty
+    reason: str = ""  # Why it does not respond or cannot be started; else empty
     restarts: int = 0  # How often it was started again since the agent started
     restarts_lately: int = 0  # How often in the last minute
     last_fault: Fault | None = None  # What went wrong last

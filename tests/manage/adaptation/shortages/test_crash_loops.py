@@ -31,6 +31,14 @@ class Crashing(Robbed):
         super().__init__(robot)
         self.crashing: set[str] = {"left"}
         self.faults: dict[str, tuple[Fault, ...]] = {}
+        fault = Fault(container="low-task", message="ended with exit code 3", number=1)
+        self.health = ContainerHealth(
+            name="low-task",
+            state="restarting",
+            since=0.0,
+            restarts_lately=5,
+            last_fault=fault,
+        )
         self.now = 0.0
         self.loop = Adaptation(
             self.run, self.facts_of_crash, self.suspensions, clock=lambda: self.now
@@ -38,17 +46,9 @@ class Crashing(Robbed):
 
     def facts_of_crash(self) -> Situation:
         """Return that the container crashes, if it is there."""
-        fault = Fault(container="low-task", message="ended with exit code 3", number=1)
         at = self.run.placement().get("low", "")
-        health = ContainerHealth(
-            name="low-task",
-            state="restarting",
-            since=0.0,
-            restarts_lately=5,
-            last_fault=fault,
-        )
         status = AgentStatus(
-            computer=at, generation=1, uptime=0, cpu=0, health=(health,)
+            computer=at, generation=1, uptime=0, cpu=0, health=(self.health,)
         )
         statuses = {
             name: AgentStatus(
@@ -117,6 +117,24 @@ def test_what_could_not_be_tried_elsewhere_is_not_held_to_crash_there() -> None:
     robbed.agents.gone.clear()
     robbed.look(2, 60.0)
     assert robbed.run.placement() == {"high": "left", "low": "right"}
+
+
+@pytest.mark.parametrize("alone", [False, True])
+def test_what_cannot_be_started_for_long_starts_elsewhere_and_is_never_suspended(
+    *, alone: bool
+) -> None:
+    robbed = Crashing(robot_with(), *(["left"] if alone else []))
+    robbed.health = replace(
+        robbed.health, restarts_lately=0, reason="cannot be started: no memory is free"
+    )
+    robbed.look(5)
+    assert robbed.run.placement() == {"high": "left", "low": "left"}
+    robbed.look()
+    where = "left" if alone else "right"
+    assert robbed.run.placement() == {"high": "left", "low": where}
+    told = "container 'low-task' on 'left' cannot be started: no memory is free"
+    assert told in robbed.wrong()
+    assert robbed.suspensions.deviations() == ()
 
 
 def test_what_is_held_crashes_where_it_is() -> None:
