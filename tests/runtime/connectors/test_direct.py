@@ -7,12 +7,13 @@ import threading
 import time
 import weakref
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NoReturn
+from typing import Any, NoReturn, Protocol
 
 import pytest
 
 from poise.errors import CalleeError, Timeout
 from poise.runtime import _calls
+from poise.runtime.connectors.interface import as_declared, methods
 from poise.runtime.connectors.route import direct_call
 from poise.runtime.execution.counters import Counts
 from poise.runtime.execution.exclusion import (
@@ -72,6 +73,26 @@ def test_calls_with_positions_and_names(exclusion: Exclusion, counts: Counts) ->
     assert call(one=3, other=4) == 7
     assert (counts.calls, counts.errors) == (3, 0)
     assert counts.delay.summary().count == 3
+
+
+class Adding(Protocol):
+    def add(self, first: int, second: int = 5) -> int: ...
+
+
+def test_takes_names_and_defaults_of_the_interface() -> None:
+    (method,) = methods(Adding).values()
+    call = as_declared(Callee().add, method)
+    assert (call(1), call(first=1), call(1, second=2), call(1, 2)) == (6, 6, 3, 3)
+
+
+def test_is_the_method_itself_where_that_is_declared_alike() -> None:
+    class Same:
+        def add(self, first: int, second: int = 5) -> int:
+            return first + second
+
+    (method,) = methods(Adding).values()
+    same = Same().add
+    assert as_declared(same, method) is same
 
 
 def test_wraps_what_the_callee_raised(exclusion: Exclusion, counts: Counts) -> None:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import inspect
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import cache
+from types import FunctionType, MethodType
 from typing import Any, NoReturn, get_type_hints
 
 from msgspec import Struct
@@ -22,6 +23,7 @@ class Method(Struct, frozen=True):
     name: str
     tag: int
     oneway: bool
+    parameters: tuple[inspect.Parameter, ...]
     bind: Callable[..., tuple[Any, ...]]
     arguments: Codec[tuple[Any, ...]]
     result: Codec[Any]
@@ -83,10 +85,27 @@ def _method(interface: type, name: str) -> Method:
         name=name,
         tag=tag_of(f"{name}{fingerprint(arguments)}{fingerprint(result)}"),
         oneway=is_oneway(interface, name),
+        parameters=_unannotated(own),
         bind=_binder(signature.replace(parameters=own)),
         arguments=codec(arguments, f"arguments of {call}"),
         result=codec(result, f"a result of {call}"),
     )
+
+
+def _unannotated(
+    parameters: Iterable[inspect.Parameter],
+) -> tuple[inspect.Parameter, ...]:
+    return tuple(each.replace(annotation=each.empty) for each in parameters)
+
+
+def as_declared(run: Callable[..., Any], method: Method) -> Callable[..., Any]:
+    """Return a method of a target that takes names and defaults of the interface."""
+    if not isinstance(run, FunctionType | MethodType) or hasattr(run, "__signature__"):
+        return run  # written in C++
+    own = inspect.signature(run, follow_wrapped=False).parameters.values()
+    if _unannotated(own) == method.parameters:
+        return run
+    return lambda *args, **kwargs: run(*method.bind(*args, **kwargs))
 
 
 def _binder(signature: inspect.Signature) -> Callable[..., tuple[Any, ...]]:

@@ -10,7 +10,7 @@ from poise.errors import CalleeError, said
 from poise.runtime import _calls
 from poise.runtime.component.error_report import traceback_of
 from poise.runtime.component.ports import Port
-from poise.runtime.connectors.interface import Method, message_tag
+from poise.runtime.connectors.interface import Method, as_declared, message_tag
 from poise.runtime.connectors.latest import NONE, Heard, Number, take
 from poise.runtime.execution.counters import Counts
 from poise.runtime.execution.exclusion import Exclusion
@@ -98,7 +98,7 @@ class DirectRoute:
             deadline = time.monotonic() + self._limit
             return sender.repeat_call(self, method.name, args, kwargs, deadline)
 
-        run = getattr(self._target.component, method.name)
+        run = as_declared(getattr(self._target.component, method.name), method)
         if sender.chains is not None:
             run = sender.chains.direct(run, self._target.ages)
         exclusion, limit = self._target.exclusion, self._limit
