@@ -20,6 +20,7 @@ import poise
 from poise.emulate import probe_host
 from poise.session.running_robots.local_robots import listing, robots_here
 from poise.view.robot_view import LiveReader
+from poise.wire.robots_here import folder
 from tests.command import run_poise
 from tests.waiting import LONG, wait_long
 
@@ -174,6 +175,21 @@ def test_the_next_manager_takes_it_over_and_all_is_as_before(file: Path) -> None
     target = "left" if after["placement"]["printer"] == "right" else "right"
     done = run_poise("move", "printer", target, "--force", "--robot", NAME)
     assert done.returncode == 0, done.stderr
+
+
+def test_the_next_manager_takes_it_over_though_its_agents_cannot_be_noted(
+    file: Path,
+) -> None:
+    before = kill_manager()
+    draft = folder() / f"{NAME}.draft"
+    draft.mkdir()  # no process may write a file there, not even one of root
+    try:
+        up(file)
+    finally:
+        draft.rmdir()
+    assert containers(status()) == containers(before)
+    log = file.with_name("poise") / f"{NAME}.log"
+    assert "find the robot by --file only" in log.read_text()
 
 
 def test_a_stop_ends_it_and_then_it_is_gone(file: Path) -> None:

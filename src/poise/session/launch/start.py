@@ -282,7 +282,10 @@ def started(  # noqa: PLR0913 - each is a choice of the caller
         if begin is None:
             say(f"starting {counted(len(placement), 'component')}")
         if computers.outlive_manager:
-            note(computers.addresses)
+            try:
+                note(computers.addresses)
+            except RunError as error:  # it says what is harder now
+                say(str(error))
             stack.callback(_forget_if_ended, robot.name, agents, computers.endpoints)
         stack.enter_context(_running(live, check, begin or LiveRobot.start))
         stack.callback(at_work.clear)
