@@ -7,10 +7,11 @@ import json
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +19,10 @@ import pytest
 
 import poise
 from poise.emulate import probe_host
+from poise.errors import UsageError
 from poise.session.running_robots.local_robots import listing, robots_here
 from poise.view.robot_view import LiveReader
-from poise.wire.robots_here import folder
+from poise.wire.robots_here import folder, path_of
 from tests.command import run_poise
 from tests.waiting import LONG, wait_long
 
@@ -320,3 +322,22 @@ def test_a_robot_on_real_computers_is_found_by_its_addresses(
         assert done.returncode == 0, done.stderr
         wait_long(lambda: not any(Path(f"/proc/{pid}").exists() for pid in pids))
         assert run_poise("status", "--file", file).returncode == 1
+
+
+@pytest.mark.parametrize(
+    "asks", [poise.stop_without_manager, poise.status_without_manager]
+)
+def test_who_gives_the_file_of_a_robot_that_its_manager_emulates_learns_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, asks: Callable[[poise.Robot], Any]
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    robot = poise.load(HELLO / "robot.yaml")
+    with pytest.raises(UsageError, match="components on emulated ones have ended"):
+        asks(robot)
+    path = path_of(robot.name)
+    path.parent.mkdir()
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as manager:
+        manager.bind(str(path))
+        manager.listen()
+        with pytest.raises(UsageError, match=r"'hello' runs here.* --robot hello "):
+            asks(robot)

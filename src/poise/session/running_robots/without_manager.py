@@ -17,7 +17,7 @@ from poise.session.launch.computers import emulated_addresses, real_agents
 from poise.wire.control_session import endpoint_of
 from poise.wire.credentials import Role
 from poise.wire.records.deployment_records import Deployment
-from poise.wire.robots_here import AgentAddresses, forget
+from poise.wire.robots_here import AgentAddresses, forget, running_here
 
 REACH_LIMIT = 5.0
 """Agents are reached within this time [s], or count as out of reach."""
@@ -104,6 +104,11 @@ def _addresses(robot: Robot, *also: Role) -> AgentAddresses:
     if any(computer.address for computer in robot.computers):
         return real_agents(robot, *also)
     kept = set_for(robot)
+    if kept is None and robot.name in running_here():
+        raise UsageError(
+            f"robot '{robot.name}' runs here, on computers that its manager emulates: "
+            f"give --robot {robot.name} instead of its file"
+        )
     if kept is None:
         raise UsageError(
             f"robot '{robot.name}' has no computer with an address, and `poise "
