@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+import poise
 from poise.errors import UsageError
 from poise.session.up import _recorder
 
@@ -25,3 +26,38 @@ def test_one_that_cannot_be_renamed_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "run-before.mcap").mkdir()
     with pytest.raises(UsageError, match="cannot be renamed: Is a directory"):
         _recorder(path, "r")
+
+
+ROBOT = """
+robot: unrecorded
+computers: {left: {cpu: 1, memory: 1 GiB}}
+architectures:
+  idle:
+    function: rest
+    components: {idle: {command: sleep 1, cpu: 1%, memory: 1 MiB}}
+tasks: {rest: {actions: [{name: rest, functions: [rest]}]}}
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("missing", ["record", "journal"])
+def test_nothing_is_said_to_start_and_no_recording_made_where_a_file_cannot_be(
+    tmp_path: Path, missing: str
+) -> None:
+    (tmp_path / "robot.yaml").write_text(ROBOT)
+    files = {"record": tmp_path / "run.mcap", "journal": tmp_path / "journal"}
+    files[missing] = tmp_path / "none" / "file"
+    said: list[str] = []
+    robot = poise.load(tmp_path / "robot.yaml")
+    with (
+        pytest.raises(UsageError, match="none/file cannot be"),
+        poise.up(
+            robot,
+            record=files["record"],
+            journal=files["journal"],
+            say=said.append,
+        ),
+    ):
+        pass
+    assert said == []
+    assert [path.name for path in tmp_path.iterdir()] == ["robot.yaml"]

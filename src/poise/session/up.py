@@ -22,7 +22,7 @@ from poise.estimate.success_rates import learned
 from poise.manage.control_socket.commands import StopCommand
 from poise.manage.control_socket.control_server import ControlServer
 from poise.manage.deploy.takeover import start_or_take_over
-from poise.manage.journal import Journal
+from poise.manage.journal import Journal, check_journal
 from poise.manage.manager import TICK, Manager
 from poise.manage.observe.sample_recording import RecordingFile
 from poise.manage.tasks.concurrent_tasks import Tasks
@@ -206,10 +206,11 @@ def up(  # noqa: PLR0913 - each is a choice of the user
         exporter = None
         if metrics is not None and not take_over:  # before anything is started
             exporter = stack.enter_context(_exporter(metrics))
+        check_journal(Path(journal) if journal else None)
+        recorder = _recorder(Path(record), robot.name) if record else None
         book = stack.enter_context(
             journal_of(robot, first, journal, lambda entry: say(str(entry)), decided)
         )
-        recorder = _recorder(Path(record), robot.name) if record else None
         if recorder is not None:
             stack.callback(lambda: say(str(recorder)))
             stack.callback(recorder.close)
