@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import threading
 from collections.abc import Iterator
 
@@ -27,6 +29,16 @@ def run(thread: threading.Thread) -> None:
     thread.start()
     thread.join(10.0)
     assert not thread.is_alive()
+
+
+def test_what_keeps_a_process_from_starting_has_a_way_out() -> None:
+    for number, way in (
+        (errno.EFBIG, "File too large: raise the limit of a file's size (`ulimit -f`)"),
+        (errno.EMFILE, "Too many open files: raise the limit of open files"),
+    ):
+        said = threads.without_process(OSError(number, os.strerror(number)))
+        assert said.startswith(f"cannot be started: {way}")
+    assert threads.without_process(OSError(5, "I/O")) == "cannot be started: I/O"
 
 
 def test_the_owner_of_a_thread_hears_of_its_failure(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import errno
 import logging
 import sys
 import threading
@@ -17,6 +18,12 @@ log = logging.getLogger(__name__)
 PROCESS_LIMIT = (
     "the limit of processes (`ulimit -u`, TasksMax of a service, pids.max of a cgroup)"
 )
+_REMEDIES = {
+    errno.EAGAIN: f"raise {PROCESS_LIMIT}",
+    errno.EMFILE: "raise the limit of open files (`ulimit -n`)",
+    errno.EFBIG: "raise the limit of a file's size (`ulimit -f`), best to unlimited",
+    errno.ENOMEM: "no memory is free: give its computer more",
+}
 SHOWN_FOR = 60.0
 """A failure is shown for this time [s]."""
 
@@ -71,6 +78,12 @@ def explained(error: Exception) -> Exception:
         f"no thread can be started: raise {PROCESS_LIMIT}, or that of memory "
         "(`ulimit -v`)"
     )
+
+
+def without_process(error: OSError) -> str:
+    """Return why a process cannot be started, and a way out, for people."""
+    remedy = _REMEDIES.get(error.errno or 0, "")
+    return f"cannot be started: {error.strerror}{remedy and ': '}{remedy}"
 
 
 class Failures:

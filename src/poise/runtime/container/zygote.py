@@ -250,7 +250,7 @@ class _Zygote:
             try:
                 pid = os.fork()
             except OSError as error:
-                self._tell(NotForked(wanted.name, f"cannot be started: {error}"))
+                self._tell(NotForked(wanted.name, threads.without_process(error)))
                 return
             if pid == 0:
                 _leave(lambda: self._become(wanted, connection, stats_page))

@@ -19,7 +19,7 @@ from poise.runtime.agent.inbox import SupervisedParts
 from poise.runtime.agent.surroundings import ContainerControl, ContainerHost
 from poise.runtime.supervision.container_processes import ContainerProcess, ProcessEnd
 from poise.runtime.supervision.health import HealthRecords, Silence, Usage
-from poise.threads import BackOff
+from poise.threads import BackOff, without_process
 from poise.wire.records.deployment_records import ContainerSpec, Deployment
 from poise.wire.records.heartbeat_records import Clocks
 from poise.wire.records.status_records import (
@@ -300,7 +300,7 @@ class Supervisor:
         except Unavailable:
             return  # the reason is heard next
         except OSError as error:  # no descriptor or memory is free at the moment
-            why = f"cannot be started: {error}"
+            why = without_process(error)
             self._note_end(spec.name, why, why)
             return
         self.health.note_start(spec.name)
