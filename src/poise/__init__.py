@@ -61,6 +61,7 @@ if TYPE_CHECKING:
     from poise.session.recorded_run import PolicyEvent as PolicyEvent
     from poise.session.recorded_run import RecordedRun as RecordedRun
     from poise.session.recorded_run import test_policies as test_policies
+    from poise.session.render.status_tables import Status as Status
     from poise.session.robot_file import check as check
     from poise.session.robot_file import load as load
     from poise.session.run import run as run
@@ -70,7 +71,6 @@ if TYPE_CHECKING:
     from poise.session.running_robots.running import NoManager as NoManager
     from poise.session.running_robots.running import RolledBack as RolledBack
     from poise.session.running_robots.running import Running as Running
-    from poise.session.running_robots.running import Status as Status
     from poise.session.running_robots.running import connect as connect
     from poise.session.running_robots.running_component import (
         RunningComponent as RunningComponent,
@@ -129,7 +129,7 @@ else:
         "Simulation": "session.simulate",
         "SimulationComparison": "session.simulate",
         "Stamp": "clock",
-        "Status": "session.running_robots.running",
+        "Status": "session.render.status_tables",
         "TakenOver": "errors",
         "Timeout": "errors",
         "Unavailable": "errors",

@@ -14,7 +14,6 @@ from types import FrameType
 from typing import Annotated
 
 import typer
-from msgspec.structs import asdict
 from rich.markup import escape
 
 import poise
@@ -32,7 +31,7 @@ from poise.session.render.tables import (
     task_table,
     what_if_lines,
 )
-from poise.session.running_robots.running import NoManager, RolledBack, Running, Status
+from poise.session.running_robots.running import NoManager, RolledBack, Running
 from poise.units import SECONDS
 
 TELL_EVERY = 1.0
@@ -100,7 +99,7 @@ def status_command(
     if file is None:
         status = Running(robot).status()
     else:
-        status = Status(**asdict(poise.status_without_manager(load(file))))
+        status = poise.status_without_manager(load(file))
     details = status.details() if everything else ()
     show(status, (*status.parts(), *details), as_json=as_json)
     if status.by_agents:

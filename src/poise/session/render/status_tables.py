@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 
+from msgspec.structs import asdict
 from rich.console import RenderableType
 from rich.markup import escape
 from rich.table import Table
@@ -16,6 +17,7 @@ from poise.manage.control_socket.commands import RobotStatus
 from poise.manage.observe.estimates import DemandEstimate, culprit_on
 from poise.manage.tasks.concurrent_tasks import TaskReport
 from poise.manage.tasks.task_progress import OVER
+from poise.session.render.printable import Printable
 from poise.session.render.tables import (
     chain_tables,
     clock_tables,
@@ -26,6 +28,27 @@ from poise.session.render.tables import (
 )
 from poise.units import counted, format_bytes, format_seconds, shortened
 from poise.wire.records.status_records import ComponentStatus, ContainerHealth
+
+
+class Status(Printable, RobotStatus, frozen=True, tag="RobotStatus", kw_only=True):
+    """A status that prints itself as tables, in a terminal and in a notebook."""
+
+    @classmethod
+    def of(cls, status: RobotStatus) -> Status:
+        """Return a status that prints itself."""
+        return cls(**asdict(status))
+
+    def located(self) -> Sequence[tuple[str, ComponentStatus]]:
+        """Yield the components that its computers report, each with its computer."""
+        return located(self.computers)
+
+    def parts(self) -> tuple[RenderableType, ...]:
+        """Return what is printed."""
+        return tuple(status_parts(self))
+
+    def details(self) -> tuple[RenderableType, ...]:
+        """Return what `poise status --all` adds."""
+        return tuple(detail_parts(self))
 
 
 def status_parts(status: RobotStatus) -> Iterator[RenderableType]:

@@ -4,15 +4,11 @@ from __future__ import annotations
 
 import secrets
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from numbers import Real
 from typing import Literal
 
-from msgspec.structs import asdict
-from rich.console import RenderableType
-
 from poise.errors import RunError, Timeout, UsageError, did_you_mean, listed
-from poise.manage.agent_connections.statuses import located
 from poise.manage.control_socket.agents_without_manager import NoManager
 from poise.manage.control_socket.commands import (
     JournalCommand,
@@ -38,13 +34,11 @@ from poise.manage.observe.chains import ChainReport
 from poise.manage.tasks.concurrent_tasks import TaskReport
 from poise.manage.tasks.task_progress import OVER
 from poise.session.arguments import check_amount, check_type
-from poise.session.render.printable import Printable
-from poise.session.render.status_tables import detail_parts, status_parts
+from poise.session.render.status_tables import Status
 from poise.session.render.tables import Outcome, outcome_sentence
 from poise.session.running_robots.running_component import RunningComponent
 from poise.session.running_robots.without_manager import stop_agents
 from poise.wire.records.request_records import SHOWN_ITEMS, TapReading
-from poise.wire.records.status_records import ComponentStatus
 
 _TASK_POLLED_EVERY = 0.05
 
@@ -144,22 +138,6 @@ class RolledBack(RunError):
         self.outcome = outcome
 
 
-class Status(Printable, RobotStatus, frozen=True, tag="RobotStatus", kw_only=True):
-    """A status that prints itself as tables, in a terminal and in a notebook."""
-
-    def located(self) -> Sequence[tuple[str, ComponentStatus]]:
-        """Yield the components that its computers report, each with its computer."""
-        return located(self.computers)
-
-    def parts(self) -> tuple[RenderableType, ...]:
-        """Return what is printed."""
-        return tuple(status_parts(self))
-
-    def details(self) -> tuple[RenderableType, ...]:
-        """Return what `poise status --all` adds."""
-        return tuple(detail_parts(self))
-
-
 class Running:
     """A robot that is up.
 
@@ -214,7 +192,7 @@ class Running:
             if error.status is None:
                 raise
             status = error.status
-        return Status(**asdict(status))
+        return Status.of(status)
 
     def move(
         self, component: str, computer: str, *, force: bool = False

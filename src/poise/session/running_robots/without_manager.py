@@ -8,12 +8,12 @@ from poise.errors import RunError, UsageError
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.statuses import containers_left
 from poise.manage.control_socket.agents_without_manager import ask_agents
-from poise.manage.control_socket.commands import RobotStatus
 from poise.manage.deploy.live_robot import STOP_LIMIT
 from poise.manage.observe.deviations import last_numbers, new_faults
 from poise.model.robot import Robot
 from poise.session.arguments import check_robot
 from poise.session.launch.computers import emulated_addresses, real_agents
+from poise.session.render.status_tables import Status
 from poise.wire.control_session import endpoint_of
 from poise.wire.credentials import Role
 from poise.wire.records.deployment_records import Deployment
@@ -23,7 +23,7 @@ REACH_LIMIT = 5.0
 """Agents are reached within this time [s], or count as out of reach."""
 
 
-def status_without_manager(robot: Robot) -> RobotStatus:
+def status_without_manager(robot: Robot) -> Status:
     """Return what the agents at the addresses of a robot say, whoever manages it.
 
     Raises
@@ -41,7 +41,7 @@ def status_without_manager(robot: Robot) -> RobotStatus:
             f"robot '{robot.name}' does not run: no agent at {places} says that it "
             "runs something of it"
         )
-    return status
+    return Status.of(status)
 
 
 def stop_without_manager(robot: Robot) -> None:
