@@ -72,6 +72,7 @@ def _robot(folder: Path) -> Robot:
 
 def recorded(folder: Path, source: str) -> Workload:
     entry = Input(source, 0.1, b"", b"")
+    (folder / "run.mcap").unlink(missing_ok=True)
     write_recording(folder / "run.mcap", "heard", [entry])
     return Workload(recording="run.mcap")
 
@@ -121,6 +122,9 @@ def test_says_what_is_wrong_with_a_recording(robot: Robot, folder: Path) -> None
         played(replace(robot, workload=Workload(recording="none")))
     with pytest.raises(UsageError, match=r"to another: `poise run --record` records"):
         played(replace(robot, workload=recorded(folder, "nose.smelt")))
+    other = replace(robot, name="other", workload=recorded(folder, "ear.heard"))
+    with pytest.raises(UsageError, match="was recorded of robot 'heard', not of 'othe"):
+        played(other)
 
 
 @pytest.mark.slow

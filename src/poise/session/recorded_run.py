@@ -20,7 +20,13 @@ from poise.model.robot import Robot
 from poise.session import Say, log
 from poise.session.arguments import check_path, check_robot
 from poise.session.profiling.stored_profiles import read_profile
-from poise.wire.recording_file import SEEN, messages_of, robot_of, samples_of
+from poise.wire.recording_file import (
+    SEEN,
+    check_recorded,
+    messages_of,
+    robot_of,
+    samples_of,
+)
 from poise.wire.records.status_records import (
     AgentSample,
     ComponentSample,
@@ -185,7 +191,7 @@ class RecordedRun:
         UsageError
             Another robot was recorded.
         """
-        _check_robot(self.robot, robot, self.file)
+        check_recorded(self.file, robot.name)
         speeds = {
             c.name: 1.0 if robot.is_emulated else c.speed for c in robot.computers
         }
@@ -221,7 +227,7 @@ class RecordedRun:
         UsageError
             Another robot was recorded.
         """
-        _check_robot(self.robot, robot, self.file)
+        check_recorded(self.file, robot.name)
         estimates = Estimates(robot, read_profile(robot), emulated=robot.is_emulated)
         samples = list(self._samples())
         began = min((sample.at for sample in samples), default=0.0)
@@ -243,13 +249,6 @@ class RecordedRun:
                 "--record` and `poise up --record` record it"
             )
         return itertools.chain([first], samples)
-
-
-def _check_robot(recorded: str, robot: Robot, file: Path) -> None:
-    if robot.name != recorded:
-        raise UsageError(
-            f"{file} was recorded of robot '{recorded}', not of '{robot.name}'"
-        )
 
 
 def _each_second(used: Mapping[int, float]) -> tuple[float, ...]:
@@ -312,7 +311,7 @@ def test_policies(
     """
     check_robot(robot)
     check_path("recording", recording)
-    _check_robot(robot_of(Path(recording)), robot, Path(recording))
+    check_recorded(Path(recording), robot.name)
     policies = Policies(policies_of(robot.policies), robot.folder)
     found: list[PolicyEvent] = []
     began: float | None = None

@@ -227,6 +227,12 @@ def robot_of(path: Path) -> str:
     raise UsageError(f"{path} is not a recording of Poise")
 
 
+def check_recorded(path: Path, robot: str) -> None:
+    """Raise UsageError when another robot was recorded, or nothing."""
+    if (recorded := robot_of(path)) != robot:
+        raise UsageError(f"{path} was recorded of robot '{recorded}', not of '{robot}'")
+
+
 def samples_of(path: Path) -> Iterator[AgentSample]:
     """Yield what agents counted; UsageError: it is no recording."""
     return messages_of(path, _SAMPLES, AgentSample)

@@ -31,7 +31,7 @@ from poise.runtime.replay import PlayedPort
 from poise.session.bag_workload import PlayedBag, played_bag, topic_name
 from poise.session.record_run import interface_type, message_type
 from poise.wire.bag_file import is_bag
-from poise.wire.recording_file import inputs_of
+from poise.wire.recording_file import check_recorded, inputs_of
 
 PLAYER = "player-of-workload"
 REPLAY = "poise.runtime.replay:Replay"
@@ -125,6 +125,7 @@ def played(robot: Robot) -> Played:
 
 def _recorded(robot: Robot, recording: str) -> dict[str, PlayedPort]:
     try:
+        check_recorded(Path(recording), robot.name)
         inputs = inputs_of(Path(recording))
     except UsageError as error:
         raise UsageError(
