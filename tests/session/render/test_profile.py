@@ -81,12 +81,13 @@ def test_what_was_not_there_is_empty() -> None:
     assert re.split(r"\s{2,}", row.strip()) == ["eye", "30.00%, 2 MiB"]
 
 
-def shown(folder: Path, **timers: TimerProfile) -> str:
+def shown(folder: Path, memory: float = 1e6, **timers: TimerProfile) -> str:
     """Return what is printed of a profile of a robot without connectors."""
     file = folder / "robot.yaml"
     file.write_text(ROBOT.replace("profile: profile.yaml\n", ""))
     out = io.StringIO()
-    profile = replace(NOW, components={"eye": replace(eye(0.3), timers=timers)})
+    measured = replace(eye(0.3), memory=memory, base=12e6, timers=timers)
+    profile = replace(NOW, components={"eye": measured})
     console = Console(file=out, width=80, color_system=None)
     show_profile(load(file), profile, console)
     return out.getvalue()
@@ -110,6 +111,13 @@ def test_a_table_without_rows_is_left_out(tmp_path: Path) -> None:
     assert "timer" not in said
     assert "connector" not in said
     assert "overhead" not in said
+
+
+def test_memory_below_what_can_be_measured_is_no_figure(tmp_path: Path) -> None:
+    said = shown(tmp_path, memory=0.0)
+    assert "0 B" not in said
+    assert "too little memory to tell from an empty container: eye" in said
+    assert "too little" not in shown(tmp_path)
 
 
 @pytest.mark.slow

@@ -37,6 +37,10 @@ def show_profile(robot: Robot, profile: Profile, console: Console) -> None:
         console.print(connectors)
         unit = "hundredths of a core" if profile.costs else "MB/s"
         console.print(f"overhead in {unit}, while the ends are apart")
+    if little := [name for name, each in found.items() if not each.memory]:
+        console.print(
+            f"too little memory to tell from an empty container: {', '.join(little)}"
+        )
     for name, each in found.items():
         if not each.stable:
             console.print(f"[yellow]unstable: {name} ± {each.repeat / 2:.1%}[/]")
@@ -69,7 +73,11 @@ def history_table(now: Profile, earlier: Sequence[Profile]) -> Table:
 
 
 def _brief(found: ComponentProfile) -> str:
-    return f"{found.cpu.mean:.2%}, {format_bytes(found.memory)}"
+    return f"{found.cpu.mean:.2%}, {_memory(found)}"
+
+
+def _memory(found: ComponentProfile) -> str:
+    return format_bytes(found.memory) if found.memory else "too little"
 
 
 def _compared(older: ComponentProfile, newer: ComponentProfile) -> str:
@@ -98,7 +106,7 @@ def _needs(found: Mapping[str, ComponentProfile]) -> Table:
     for name, component in found.items():
         rows.add_row(
             name,
-            format_bytes(component.memory),
+            _memory(component),
             format_bytes(component.state) if component.state else "",
             format_seconds(component.start),
             f"{cpu_demand(component):.2%}",
