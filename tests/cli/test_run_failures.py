@@ -52,6 +52,10 @@ class Dying(Component):
             open(mark, "w").close()
             os.kill(os.getpid(), signal.SIGKILL)
 
+class Broken(Component):
+    def activate(self):
+        raise LookupError("no arm")
+
 class Hanging(Component):
     @every(0.1, deadline=0.05)
     def tick(self):
@@ -135,6 +139,19 @@ def test_one_alternative_runs_and_all_that_was_sent_is_in_the_final_counts(
     assert report["lost"] == {}
     assert report["silent"] == []
     assert code == (1 if report["invalid"] else 0)
+
+
+def test_an_architecture_that_does_not_start_is_learned_and_the_next_run_takes_another(
+    tmp_path: Path,
+) -> None:
+    file = robot(tmp_path, "Broken")
+    text = file.read_text()
+    file.write_text(text.replace("other: {function", "other: {quality: 0.9, function"))
+    code, failed = run(file, "--for", "1s")
+    assert code == 1
+    assert "component 'broken' on " in failed["error"]
+    _, report = run(file, "--for", "1s")
+    assert set(report["placement"]) == {"source", "other"}
 
 
 def test_every_distinct_error_and_a_hung_handler_are_in_the_report(

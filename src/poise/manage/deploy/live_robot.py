@@ -58,8 +58,8 @@ _CRASHES = 5
 class DoesNotStart(RunError):
     """A component that was to run has failed by its own doing."""
 
-    def __init__(self, component: str, error: str) -> None:
-        super().__init__(f"component '{component}' failed:\n{error}")
+    def __init__(self, component: str, error: str, where: str = "") -> None:
+        super().__init__(f"component '{component}'{where} failed:\n{error}")
         self.component = component
 
 
@@ -444,9 +444,9 @@ class LiveRobot(DesiredState):
         for computer, component in located(self.agents.statuses()):
             is_judged = (component.name, component.epoch) in judged
             if component.state == "failed" and is_judged:
-                what = f"component '{component.name}' on '{computer}' failed"
-                self.journal.note("failed", what)
-                raise RunError(f"{what}:\n{component.error}")
+                why = DoesNotStart(component.name, component.error, f" on '{computer}'")
+                self.journal.note("failed", str(why).partition(":\n")[0])
+                raise why
         return False
 
     def raise_on_broken(self, incarnations: Collection[Incarnation]) -> None:

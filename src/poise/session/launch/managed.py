@@ -14,7 +14,9 @@ from msgspec.msgpack import encode
 
 from poise import threads
 from poise.emulate import set_for
-from poise.manage.deploy.live_robot import LiveRobot
+from poise.errors import PoiseError
+from poise.estimate.outcomes import note_outcome
+from poise.manage.deploy.live_robot import DoesNotStart, LiveRobot
 from poise.manage.journal import Journal, JournalEntry, check_journal
 from poise.manage.manager import Manager
 from poise.manage.observe.estimates import Estimates
@@ -135,19 +137,22 @@ def managed(
     """Start a robot with a manager, and stop it afterwards."""
     samples, robot = Recording(), what.robot
     sampling = Sampling(samples.add)
-    with started(
-        robot,
-        what.where,
-        journal,
-        say,
-        sampling,
-        check,
-        use_kept=True,
-        begin=begin,
-        tasks=encode(what.tasks.saved),
-        election=what.election,
-        found=what.computers,
-    ) as up:
+    with (
+        _blamed(what, journal),
+        started(
+            robot,
+            what.where,
+            journal,
+            say,
+            sampling,
+            check,
+            use_kept=True,
+            begin=begin,
+            tasks=encode(what.tasks.saved),
+            election=what.election,
+            found=what.computers,
+        ) as up,
+    ):
         manager = Manager(
             up.live,
             goes_on_with(up.live, what.tasks, journal),
@@ -159,3 +164,20 @@ def managed(
         )
         with threads.failures_heard(manager.failures.note):
             yield Managed(up, manager)
+
+
+@contextlib.contextmanager
+def _blamed(what: ToManage, journal: Journal) -> Iterator[None]:
+    """Learn which architecture is to blame when the first actions cannot begin."""
+    try:
+        yield
+    except DoesNotStart as error:
+        blamed = what.robot.architecture_of(error.component)
+        tries = [t for each in what.tasks.going() for t in what.tasks.tries(each)]
+        try:
+            for action in (each.action for each in tries if what.robot.folder):
+                if blamed.function in action.functions:
+                    note_outcome(what.robot, action.name, "failed", [blamed.name])
+        except PoiseError as other:
+            journal.note("failed", f"that is not learned: {other}")
+        raise
