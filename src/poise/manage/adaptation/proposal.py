@@ -113,7 +113,7 @@ def nothing_helps(situation: Situation, gone: str = "") -> str:
     )
     takes = taken_by_others(situation)
     others = f", beside other programs, which take {takes}" if takes else ""
-    what = f"{late(situation)}{known}{others}: another placement would not help. "
+    what = f"{late(situation)}{known}{others}: no placement is known to help. "
     if gone:
         return (
             f"{what}Lost with their computers: {gone}; components that need them wait"
@@ -148,11 +148,12 @@ def late(situation: Situation) -> str:
 
 def _sentence(chain: ChainAge) -> str:
     under_way = max(0.0, sum(chain.wires.values()))
+    arrived = f"; what arrived was under way for {format_seconds(under_way)}"
     return (
         f"the data of chain '{chain.chain}' must not be older than "
         f"{format_seconds(chain.deadline)} and is "
-        f"{format_seconds(chain.ages[chain.last])} old ({chain}); what arrived was "
-        f"under way for {format_seconds(under_way)}"
+        f"{format_seconds(chain.ages[chain.last])} old ({chain})"
+        f"{arrived if under_way else ''}"
     )
 
 
