@@ -15,6 +15,7 @@ from poise.errors import RunError, Timeout, Unavailable
 from poise.runtime.component.ports import Port
 from poise.runtime.connectors.interface import Method, Proxy
 from poise.runtime.connectors.sender import Sender
+from poise.runtime.execution.container_lease import LeaseEnded
 from poise.runtime.execution.exclusion import Exclusion, new_chain
 from poise.wire.codec import WireError
 from tests.waiting import wait_until
@@ -64,6 +65,8 @@ class FakeRoute:
             raise WireError("an object cannot cross a connector")
         if value is MemoryError:
             raise MemoryError
+        if value is LeaseEnded:
+            raise LeaseEnded("a")
         self.went.append(value)
         self.room -= 1
         return 1
@@ -463,3 +466,16 @@ def test_nobody_waits_while_what_was_buffered_goes_out(old: FakeRoute) -> None:
     slow.go_on.set()
     sender.send_marker(7)  # waits: it goes behind them
     assert slow.went == [1, 2, 3, "marker 7"]
+
+
+def test_what_the_end_of_the_lease_keeps_back_is_counted_once(
+    sender: Sender, old: FakeRoute, new: FakeRoute
+) -> None:
+    with pytest.raises(LeaseEnded):
+        sender.send(LeaseEnded)
+    sender.buffer_for_move()
+    sender.send(LeaseEnded)
+    sender.send(1)
+    sender.switch("new")
+    drain(sender)
+    assert (old.went, new.went, sender.counts.drops) == ([], [1], 2)

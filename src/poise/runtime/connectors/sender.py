@@ -375,7 +375,7 @@ class Sender:
                 self._push(route, method, value, began)
             # its publisher has gone on, and the messages behind it have to go out
             except Exception as error:  # noqa: BLE001
-                self.counts.drops += 1
+                self.counts.drops += not isinstance(error, LeaseEnded)  # it is counted
                 log.warning("connector %s: a message is dropped: %r", self.name, error)
 
     def _push(
@@ -390,10 +390,10 @@ class Sender:
             self.counts.add_message(size)
             if size:  # within a container they wait only where they end
                 self.counts.wait.add(time.monotonic() - began)
-        except LeaseEnded:  # its publisher is to know
-            raise
         except CallError as error:
             self.counts.drops += 1
+            if isinstance(error, LeaseEnded):  # its publisher is to know
+                raise
             log.debug("connector %s: %s", self.name, error)
         finally:
             self._release()
