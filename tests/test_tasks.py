@@ -8,8 +8,7 @@ import pytest
 from msgspec.structs import replace
 
 from poise.errors import RunError, UsageError
-from poise.manage.tasks.concurrent_tasks import TaskReport
-from poise.manage.tasks.task_progress import TaskState
+from poise.manage.tasks.task_reports import TaskReport, TaskState
 from poise.session.running_robots.running import Running, RunningTasks
 
 py_trees = pytest.importorskip("py_trees", reason="the extra `py_trees` is missing")

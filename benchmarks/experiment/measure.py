@@ -31,7 +31,7 @@ from poise.emulate.cpu_load import background_load
 from poise.errors import PoiseError, RunError
 from poise.manage.agent_connections.statuses import Statuses, components_of
 from poise.manage.observe.chains import chain_reports
-from poise.manage.tasks.task_progress import OVER
+from poise.manage.tasks.task_reports import OVER
 from poise.model.robot import Robot
 from poise.session import Check, nothing
 from poise.session.last_seen import LastSeen

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from poise.errors import PoiseError, UsageError
-from poise.manage.tasks.concurrent_tasks import TaskReport
+from poise.manage.tasks.task_reports import TaskReport
 from poise.session.running_robots.running import Running, connect
 
 try:

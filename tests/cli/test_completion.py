@@ -13,7 +13,7 @@ from poise.cli.command_table import build
 from poise.cli.options import in_file, running
 from poise.errors import RunError
 from poise.manage.control_socket.commands import RobotStatus
-from poise.manage.tasks.concurrent_tasks import TaskReport
+from poise.manage.tasks.task_reports import TaskReport
 from poise.session.running_robots import local_robots as robots_here
 from poise.wire.records.request_records import ManagerId
 

@@ -7,8 +7,7 @@ import typer
 
 from poise.cli import running_robot_command
 from poise.cli.running_robot_command import resume_command, start_command
-from poise.manage.tasks.concurrent_tasks import TaskReport
-from poise.manage.tasks.task_progress import TaskState
+from poise.manage.tasks.task_reports import TaskReport, TaskState
 
 
 class FakeRunning:

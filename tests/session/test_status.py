@@ -13,8 +13,7 @@ from poise.manage.control_socket.commands import RobotStatus
 from poise.manage.migration.migration_report import WhatIf
 from poise.manage.observe.chains import ChainHop, ChainReport
 from poise.manage.observe.estimates import DemandEstimate, Load
-from poise.manage.tasks.concurrent_tasks import TaskReport
-from poise.manage.tasks.task_progress import TaskState
+from poise.manage.tasks.task_reports import TaskReport, TaskState
 from poise.plan import Terms
 from poise.session.render.status_tables import (
     _remarks,

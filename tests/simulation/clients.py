@@ -21,7 +21,7 @@ from poise.manage.control_socket.commands import (
 )
 from poise.manage.journal import JournalEntry
 from poise.manage.migration.migration_report import MigrationReport
-from poise.manage.tasks.task_progress import OVER
+from poise.manage.tasks.task_reports import OVER
 from poise.model.robot import Robot
 from poise.simulation.choices import Choices
 from poise.simulation.component_models import Flaw

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from math import inf
 
 from poise.manage.control_socket.commands import RobotStatus
-from poise.manage.tasks.concurrent_tasks import TaskReport
+from poise.manage.tasks.task_reports import TaskReport
 from poise.model.check.allowed_computers import allowed_computers
 from poise.model.robot import Robot
 

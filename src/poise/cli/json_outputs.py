@@ -21,7 +21,7 @@ from poise.manage.control_socket.commands import Rebalanced, RobotStatus
 from poise.manage.journal import JournalEntry
 from poise.manage.migration.migration_report import MigrationReport, WhatIf
 from poise.manage.observe.estimates import DemandEstimate
-from poise.manage.tasks.concurrent_tasks import TaskReport
+from poise.manage.tasks.task_reports import TaskReport
 from poise.model.policy import Policy
 from poise.model.schema import flush_left
 from poise.plan.phase_result import PlainPhases

@@ -20,7 +20,7 @@ import poise
 from poise import threads
 from poise.cli.options import AsJson, busy, parse_option, running, show
 from poise.errors import PoiseError, UsageError
-from poise.manage.tasks.concurrent_tasks import TaskReport
+from poise.manage.tasks.task_reports import TaskReport
 from poise.model import load
 from poise.session.render.printable import console_to
 from poise.session.render.tables import (

@@ -24,7 +24,7 @@ from poise.manage.observe.chains import (
 )
 from poise.manage.observe.deviations import LocatedFault
 from poise.manage.observe.troubles import refused
-from poise.manage.tasks.concurrent_tasks import TaskReport
+from poise.manage.tasks.task_reports import TaskReport
 from poise.model.robot import Connector, Robot
 from poise.wire.records.heartbeat_records import ClockStatus
 from poise.wire.records.status_records import (

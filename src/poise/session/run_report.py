@@ -16,7 +16,7 @@ from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.journal import JournalEntry
 from poise.manage.observe.chains import ChainReport
 from poise.manage.observe.deviations import LocatedFault, faults_after
-from poise.manage.tasks.concurrent_tasks import TaskReport
+from poise.manage.tasks.task_reports import TaskReport
 from poise.session.last_seen import LastSeen
 from poise.session.launch.start import Started
 from poise.session.placing.placement import Placement

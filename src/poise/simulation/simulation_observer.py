@@ -8,8 +8,7 @@ from collections.abc import Mapping
 from poise.manage.deploy.desired import Desired
 from poise.manage.journal import JournalEntry
 from poise.manage.migration.migration_report import MigrationReport
-from poise.manage.tasks.concurrent_tasks import TaskReport
-from poise.manage.tasks.task_progress import OVER
+from poise.manage.tasks.task_reports import OVER, TaskReport
 from poise.model.robot import Robot
 from poise.simulation.predicted_times import mean_of
 from poise.simulation.robot.simulated_robot import SimulatedRobot

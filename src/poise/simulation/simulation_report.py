@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from msgspec import Struct
 
-from poise.manage.tasks.concurrent_tasks import TaskReport
+from poise.manage.tasks.task_reports import TaskReport
 
 
 class SimulatedLoad(Struct, frozen=True, kw_only=True):

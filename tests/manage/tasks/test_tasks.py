@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from poise.errors import UsageError
 from poise.manage.tasks.concurrent_tasks import Tasks
-from poise.manage.tasks.task_progress import OVER, Saved, TaskRecord
+from poise.manage.tasks.task_progress import Saved, TaskRecord
+from poise.manage.tasks.task_reports import OVER
 from poise.model.phases import clashes
 from poise.model.robot import Architecture, ComponentEntry, Computer, Device, Robot
 from poise.model.steps import (

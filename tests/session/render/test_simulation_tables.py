@@ -7,7 +7,7 @@ import re
 import pytest
 from msgspec.structs import replace
 
-from poise.manage.tasks.concurrent_tasks import TaskReport
+from poise.manage.tasks.task_reports import TaskReport
 from poise.session.render.simulation_tables import compared, late, span, verdict
 from poise.session.simulate import Simulation, SimulationComparison
 from poise.simulation.faults import SimulatedFault

@@ -19,8 +19,7 @@ from poise.manage.migration.migration_report import (
 from poise.manage.observe.chains import ChainReport
 from poise.manage.observe.deviations import Deviation
 from poise.manage.observe.estimates import DemandEstimate, Load
-from poise.manage.tasks.concurrent_tasks import TaskReport
-from poise.manage.tasks.prefetch_report import PrefetchReport
+from poise.manage.tasks.task_reports import PrefetchReport, TaskReport
 from poise.wire.codec import Packed
 from poise.wire.records.request_records import (
     SHOWN_ITEMS,

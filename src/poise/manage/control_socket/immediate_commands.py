@@ -32,7 +32,7 @@ from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.observe.chains import chain_reports
 from poise.manage.observe.deviations import Deviation
 from poise.manage.observe.estimates import Estimates
-from poise.manage.tasks.concurrent_tasks import TaskReport
+from poise.manage.tasks.task_reports import TaskReport
 from poise.model.robot import Computer
 from poise.units import format_bytes
 from poise.wire.codec import pack, unpack

@@ -28,7 +28,7 @@ from poise.manage.deploy.desired import Desired, Incarnation
 from poise.manage.deploy.desired_state import DesiredState
 from poise.manage.journal import Journal
 from poise.manage.observe.deviations import combined, faults_after, last_numbers
-from poise.manage.tasks.prefetch_report import Switches
+from poise.manage.tasks.task_reports import Switches
 from poise.model.robot import Robot
 from poise.units import counted
 from poise.wire.heartbeats import LEASES_END_WITHIN

@@ -7,13 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator
 
-from msgspec import Struct
 from msgspec.structs import replace
 
 from poise.clock import wall_time_at
 from poise.errors import UsageError, did_you_mean
 from poise.manage.tasks.task_progress import (
-    OVER,
     ActionEnded,
     Attempt,
     Choose,
@@ -21,8 +19,8 @@ from poise.manage.tasks.task_progress import (
     Saved,
     Steps,
     TaskRecord,
-    TaskState,
 )
+from poise.manage.tasks.task_reports import OVER, ActionReport, TaskReport, TaskState
 from poise.model.phases import clashes
 from poise.model.robot import Robot
 from poise.model.steps import Until
@@ -352,29 +350,6 @@ class Tasks:
     def _next(self) -> int:
         self.saved.number += 1
         return self.saved.number
-
-
-class ActionReport(Struct, frozen=True, kw_only=True):
-    """An action that is due."""
-
-    name: str
-    functions: tuple[str, ...]  # what it uses
-    architectures: tuple[str, ...]  # what provides that now
-    worked: float  # for how long it has worked [s]
-    is_at_work: bool  # whether it works now
-
-
-class TaskReport(Struct, frozen=True, kw_only=True):
-    """A task since it was started."""
-
-    name: str
-    state: TaskState
-    priority: int
-    why: str  # what it waits for, or why it ended so; else empty
-    began: float  # when it was started, and when its state began [s since 1970]
-    since: float  # when it was started, and when its state began [s since 1970]
-    actions: tuple[ActionReport, ...] = ()  # those that are due
-    next: tuple[str, ...] = ()  # the names of those that may come then
 
 
 def task_reports(

@@ -15,8 +15,8 @@ from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.migration.transition_plan import residue
 from poise.manage.observe.estimates import Load
 from poise.manage.tasks.action_placement import LikelyAction
-from poise.manage.tasks.prefetch_report import PrefetchReport
 from poise.manage.tasks.switch import drop, prepare
+from poise.manage.tasks.task_reports import PrefetchReport
 from poise.model.hardware import fits
 from poise.model.robot import ComponentEntry, Robot
 from poise.units import format_amount

@@ -10,7 +10,8 @@ from poise.errors import UsageError
 from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.journal import Journal
 from poise.manage.tasks.concurrent_tasks import Tasks
-from poise.manage.tasks.task_progress import OVER, Saved
+from poise.manage.tasks.task_progress import Saved
+from poise.manage.tasks.task_reports import OVER
 from poise.wire.codec import MALFORMED
 
 

@@ -36,15 +36,10 @@ from poise.manage.tasks.component_reports import (
     choose,
     conditions_of,
 )
-from poise.manage.tasks.concurrent_tasks import TaskReport, Tasks, task_reports
+from poise.manage.tasks.concurrent_tasks import Tasks, task_reports
 from poise.manage.tasks.switch import IdleComponents, switch
-from poise.manage.tasks.task_progress import (
-    OVER,
-    ActionEnded,
-    Attempt,
-    Saved,
-    TaskRecord,
-)
+from poise.manage.tasks.task_progress import ActionEnded, Attempt, Saved, TaskRecord
+from poise.manage.tasks.task_reports import OVER, TaskReport
 from poise.model.condition import Condition, parse_condition
 from poise.model.policy import SUBJECTS, Subject
 from poise.model.robot import Architecture

@@ -7,10 +7,10 @@ the next manager.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import Literal
 
 from msgspec import Struct
 
+from poise.manage.tasks.task_reports import TaskState
 from poise.model.steps import (
     Action,
     Choice,
@@ -27,9 +27,6 @@ from poise.model.steps import (
 Choose = Callable[[Choice, bool], int]
 """Returns the index of the step of a choice that is done; True: only looks ahead."""
 Say = Callable[[str], object]
-TaskState = Literal["going", "waiting", "paused", "done", "failed", "cancelled"]
-"""`waiting`: for what other tasks use, or for room; `paused`: on request."""
-OVER = {"done", "failed", "cancelled"}
 
 
 class Progress(Struct, kw_only=True, omit_defaults=True):

@@ -10,7 +10,7 @@ from rich.console import RenderableType
 from rich.markup import escape
 from rich.table import Table
 
-from poise.manage.tasks.task_progress import OVER
+from poise.manage.tasks.task_reports import OVER
 from poise.session.render.picture import bar_row
 from poise.session.render.report_page import Mark, document, html_table, over_time
 from poise.session.render.tables import table

@@ -15,8 +15,7 @@ from poise.errors import last_error
 from poise.manage.agent_connections.statuses import connectors_of, located
 from poise.manage.control_socket.commands import RobotStatus
 from poise.manage.observe.estimates import DemandEstimate, culprit_on
-from poise.manage.tasks.concurrent_tasks import TaskReport
-from poise.manage.tasks.task_progress import OVER
+from poise.manage.tasks.task_reports import OVER, TaskReport
 from poise.session.render.printable import Printable
 from poise.session.render.tables import (
     chain_tables,

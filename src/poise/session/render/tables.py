@@ -20,8 +20,7 @@ from poise.manage.migration.migration_report import (
     WhatIf,
 )
 from poise.manage.observe.chains import ChainReport
-from poise.manage.tasks.concurrent_tasks import ActionReport, TaskReport
-from poise.manage.tasks.task_progress import OVER
+from poise.manage.tasks.task_reports import OVER, ActionReport, TaskReport
 from poise.units import format_bytes, format_seconds
 from poise.wire.records.heartbeat_records import ClockStatus
 from poise.wire.records.status_records import ConnectorStatus, Summary

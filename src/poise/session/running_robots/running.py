@@ -31,8 +31,7 @@ from poise.manage.control_socket.control_client import ask
 from poise.manage.journal import JournalEntry
 from poise.manage.migration.migration_report import MigrationReport, WhatIf
 from poise.manage.observe.chains import ChainReport
-from poise.manage.tasks.concurrent_tasks import TaskReport
-from poise.manage.tasks.task_progress import OVER
+from poise.manage.tasks.task_reports import OVER, TaskReport
 from poise.session.arguments import check_amount, check_type
 from poise.session.render.status_tables import Status
 from poise.session.render.tables import Outcome, outcome_sentence

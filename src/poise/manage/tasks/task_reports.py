@@ -1,10 +1,11 @@
-"""How switches from one action to the next went, and what was prepared for nothing."""
+"""What is told of tasks: how each is, and how switches between actions went."""
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
 from statistics import median
+from typing import Literal
 
 from msgspec import Struct
 
@@ -12,8 +13,34 @@ from poise.estimate.profiles import quantile
 from poise.units import format_bytes
 from poise.wire.records.status_records import Summary
 
+TaskState = Literal["going", "waiting", "paused", "done", "failed", "cancelled"]
+"""`waiting`: for what other tasks use, or for room; `paused`: on request."""
+OVER = {"done", "failed", "cancelled"}
 _MOST = 1000
 """The times of so many switches are kept."""
+
+
+class ActionReport(Struct, frozen=True, kw_only=True):
+    """An action that is due."""
+
+    name: str
+    functions: tuple[str, ...]  # what it uses
+    architectures: tuple[str, ...]  # what provides that now
+    worked: float  # for how long it has worked [s]
+    is_at_work: bool  # whether it works now
+
+
+class TaskReport(Struct, frozen=True, kw_only=True):
+    """A task since it was started."""
+
+    name: str
+    state: TaskState
+    priority: int
+    why: str  # what it waits for, or why it ended so; else empty
+    began: float  # when it was started [s since 1970]
+    since: float  # when its state began [s since 1970]
+    actions: tuple[ActionReport, ...] = ()  # those that are due
+    next: tuple[str, ...] = ()  # the names of those that may come then
 
 
 class PrefetchReport(Struct, frozen=True, kw_only=True):
