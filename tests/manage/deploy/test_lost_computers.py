@@ -217,3 +217,21 @@ def test_reports_that_come_without_heartbeats_are_said(
     assert what in live.unreached()["right"]
     monkeypatch.setattr(agents, "ages", lambda: {"right": 2.0})
     assert what not in live.unreached()["right"]
+
+
+def test_a_cause_that_is_known_later_is_journalled_once(robot: Robot) -> None:
+    agents = FakeAgents("left", "right")
+    live = started(robot, agents)
+    lost = LostComputers(live)
+    agents.gone.add("right")
+    lost.note()
+    agents.others["right"] = "there is the agent of computer 'space'"
+    for _ in range(3):
+        lost.note()
+    first, second = [e.what for e in live.journal.entries() if e.kind == "wrong"]
+    assert second == f"{first}; {agents.others['right']}"
+    agents.others.clear()
+    agents.gone.clear()
+    live.reconcile()
+    lost.note()
+    assert len([e for e in live.journal.entries() if e.kind == "wrong"]) == 2

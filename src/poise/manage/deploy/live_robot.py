@@ -189,8 +189,11 @@ class LiveRobot(DesiredState):
         """Let it run for `seconds` [s]; raise RunError when something fails."""
         self.agents.wait_news(self._raise_on_trouble, seconds)
 
-    def unreached(self) -> dict[str, str]:
-        """Return what is known of each computer that is out of reach, in words."""
+    def unreached(self, *, is_brief: bool = False) -> dict[str, str]:
+        """Return what is known of each computer that is out of reach, in words.
+
+        `is_brief`: without what becomes of its components.
+        """
         out_of_reach = self.agents.out_of_reach()
         heartbeats = self.agents.heartbeats
         heard_by = {name: heartbeats.heard_by(name) for name in out_of_reach}
@@ -204,7 +207,7 @@ class LiveRobot(DesiredState):
         }
         said = unreached(
             out_of_reach,
-            self.placement(),
+            {} if is_brief else self.placement(),
             heard,
             heard_by,
             reporting,

@@ -34,6 +34,8 @@ class LostComputers:
         for computer in sorted({c.name for c in live.robot.computers} - self._obeying):
             self._lost_at[computer] = wall_time()
             self._lost_moments[computer] = live.clock.now()
+        self._causes: dict[str, str] = {}
+        """Lost computer -> what was journalled of why, in words."""
         self._was_cut_off: set[str] = set()
         self._lost_with: dict[str, list[tuple[str, int]]] = {}
         """Lost computer -> the incarnations that were placed there."""
@@ -67,6 +69,8 @@ class LostComputers:
             status = live.agents.statuses().get(computer)
             if status is not None and live.reconciler.is_current(computer, status):
                 self._note_back(computer, status)
+        if self._lost_at:
+            self._note_causes()
         self._note_refusals()
         if self._begin_again:
             self._note_lost_states()
@@ -172,10 +176,20 @@ class LostComputers:
             each.key for each in live.placed.values() if each.computer == computer
         ]
 
+    def _note_causes(self) -> None:
+        """Journal a computer again once more is known of why it is out of reach."""
+        known = self._live.unreached(is_brief=True)
+        for computer in sorted(known.keys() & self._lost_at.keys()):
+            why = known[computer]
+            if len(why) > len(self._causes.setdefault(computer, why)):
+                self._causes[computer] = why
+                self._live.journal.note("wrong", self._live.unreached()[computer])
+
     def _note_back(self, computer: str, status: AgentStatus) -> None:
         live = self._live
         self._obeying.add(computer)
         del self._lost_at[computer], self._lost_moments[computer]
+        self._causes.pop(computer, None)
         was_cut_off = computer in self._was_cut_off
         self._was_cut_off.discard(computer)
         before, self._starts[computer] = self._starts.get(computer), status.start
