@@ -13,7 +13,7 @@ from typing import ClassVar
 import pytest
 from msgspec.structs import replace
 
-from poise import Component, Message, every, subscribed
+from poise import Component, Message, Published, every, subscribed
 from poise.clock import SystemClock
 from poise.errors import RunError, Timeout
 from poise.runtime.execution.counters import Counts
@@ -79,7 +79,9 @@ class Fixture:
         self._runners: list[Runner] = []
 
     def start(self, implementation: type[Component], **parameters: str) -> Runner:
-        spec = ComponentSpec(name="one", goal="inactive", parameters=parameters)
+        spec = ComponentSpec(
+            name="one", goal="inactive", parameters=parameters, ends=("done",)
+        )
         runner = Runner(spec, implementation, SystemClock(), lambda: None)
         self._runners.append(runner)
         runner.start()
@@ -135,6 +137,29 @@ def test_each_action_begins_once(running: Fixture) -> None:
     reach(runner, "finalized")
     begun = [what for what in component.record if what in {"look", *both.values()}]
     assert begun == ["drive", "look"]
+
+
+def test_of_what_ends_an_action_the_first_counts(running: Fixture) -> None:
+    class Acting(Recorder):
+        done: Published[bool]
+
+        def activate(self) -> None:
+            self.done.publish(False)
+
+        def begin(self, action: str) -> None:
+            self.done.publish(action == "look")
+            self.done.publish(action != "look")
+            self._do(action)
+
+    runner = running.start(Acting)
+    component = reach(runner, "active")
+    said = []
+    for number, action in enumerate(("look", "drive")):
+        runner.note_spec(replace(runner.spec, actions={number: action}))
+        receive(runner, "then")
+        component.wait_for(action)
+        said += [end.done for end in runner.status().ends]
+    assert said == [True, False]
 
 
 def test_the_hooks_come_in_order(running: Fixture) -> None:

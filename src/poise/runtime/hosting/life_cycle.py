@@ -94,6 +94,11 @@ class TaskNews:
         # one that is started again after a crash repeats no number
         self._number = secrets.randbits(_BITS)
         self._ends: dict[str, ActionEnd] = {}
+        self._ended: set[str] = set()
+
+    def begin(self) -> None:
+        """Heed ends again: an action begins, or the component is activated."""
+        self._ended.clear()
 
     def request(self, verb: Verb, task: str) -> None:
         """Request that something is done with a task."""
@@ -101,7 +106,10 @@ class TaskNews:
         self._on_change()
 
     def note_end(self, port: str, done: object) -> None:
-        """Note that the action of a port is done, or has failed."""
+        """Note that the action of a port is done, or failed; the first counts."""
+        if port in self._ended:
+            return
+        self._ended.add(port)
         self._ends[port] = ActionEnd(port=port, count=self._next(), done=bool(done))
         self._on_change()
 

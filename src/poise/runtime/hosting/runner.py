@@ -312,6 +312,7 @@ class Runner:
         elif hook == "activate":
             # the incarnation before it may still be at work, and goes first
             self.endpoints.buffer_until_active()
+            self._news.begin()
         # callers wait for one that takes over
         hurry = (
             before_components() if self.life_cycle.goal == "ready" else nullcontext()
@@ -441,6 +442,7 @@ class Runner:
         for number, action in actions.items():
             if number not in self._begun and self._enter():
                 self._begun = {number, *self._begun.intersection(actions)}
+                self._news.begin()
                 self._run(self.component.begin, "begin", action)
 
     @property
