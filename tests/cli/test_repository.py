@@ -9,7 +9,7 @@ from typer.testing import CliRunner, Result
 from poise.cli.command_table import build
 from poise.errors import UsageError
 from poise.estimate.outcomes import Conditions, note_outcome
-from poise.model.load import load
+from poise.model.loading import load
 
 ROBOT = """
 robot: picker

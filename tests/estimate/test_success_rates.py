@@ -20,7 +20,7 @@ from poise.estimate.success_rates import (
     rates,
 )
 from poise.manage.journal import Journal
-from poise.model.load import load
+from poise.model.loading import load
 from poise.model.robot import Robot
 from poise.session.placing.first_phase import note_architectures
 from poise.session.placing.placement import place

@@ -7,7 +7,7 @@ import pytest
 
 from poise.errors import FileProblem, RobotError
 from poise.model import load
-from poise.model.load import load_source
+from poise.model.loading import load_source
 
 Write = Callable[[str, str], Path]
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from poise.model.load import load_source
+from poise.model.loading import load_source
 from poise.model.yaml_tree import with_values
 
 BLOCK = """\

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from poise.errors import FileProblem
-from poise.model.load import load_source
+from poise.model.loading import load_source
 from poise.runtime.code_check import check_code
 
 CODE = """

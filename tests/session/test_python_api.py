@@ -89,9 +89,20 @@ def test_its_parts_are_there_without_an_import_of_their_own() -> None:
             "import poise.cli.agent_command",
             ["rich", "yaml", "poise.model", "poise.plan"],
         ),
+        # a command that asks a running robot, as `poise status` does
+        (
+            "import poise.cli.running_robot_command",
+            [
+                "numpy",
+                "poise.emulate",
+                "poise.manage.deploy",
+                "poise.model.loading",
+                "poise.plan.planner",
+            ],
+        ),
     ],
 )
-def test_components_do_not_pay_for_the_application(
+def test_nobody_loads_parts_that_are_not_used(
     loaded: str, without: list[str]
 ) -> None:
     code = f"import sys; {loaded}; print([m for m in {without} if m in sys.modules])"

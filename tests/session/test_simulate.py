@@ -10,7 +10,7 @@ import sys
 import pytest
 
 import poise
-from poise.model.load import load
+from poise.model.loading import load
 from poise.model.robot import Robot
 from poise.simulation.faults import SimulatedFault
 from tests.session.fake_rehearsal import HELLO, FakeRehearsal, rehearsal

@@ -16,7 +16,7 @@ from msgspec.structs import replace
 
 from poise.errors import RobotError
 from poise.model.hardware import Device, Link
-from poise.model.load import check
+from poise.model.loading import check
 from poise.model.policy import Policy
 from poise.model.repository import Repository
 from poise.model.robot import (

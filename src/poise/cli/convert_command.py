@@ -17,7 +17,7 @@ from poise.cli.plan_command import computer_of
 from poise.endpoint import NAME, NAME_SAYS
 from poise.errors import RobotError, UsageError
 from poise.model.hardware import Computer
-from poise.model.load import load
+from poise.model.loading import load
 from poise.model.robot import Robot
 from poise.session.diagrams.draw import FORMATS, What, draw
 from poise.session.folders import make_folder, to_write, write_whole

@@ -19,7 +19,7 @@ from poise.cli.options import AsJson, RobotFile, Set, arguments_of, busy, show
 from poise.errors import FileProblem, UsageError, unknown
 from poise.estimate.outcomes import forget
 from poise.estimate.success_rates import beliefs_about
-from poise.model.load import load
+from poise.model.loading import load
 from poise.model.policy import Policy, policies_of
 from poise.session.placing.first_phase import Described, Listed, listed
 from poise.session.recorded_run import PolicyEvent, test_policies

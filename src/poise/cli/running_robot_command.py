@@ -21,7 +21,6 @@ from poise import threads
 from poise.cli.options import AsJson, busy, parse_option, running, show
 from poise.errors import PoiseError, UsageError
 from poise.manage.tasks.task_reports import TaskReport
-from poise.model import load
 from poise.session.render.printable import console_to
 from poise.session.render.tables import (
     Outcome,
@@ -99,7 +98,7 @@ def status_command(
     if file is None:
         status = Running(robot).status()
     else:
-        status = poise.status_without_manager(load(file))
+        status = poise.status_without_manager(poise.model.load(file))
     details = status.details() if everything else ()
     show(status, (*status.parts(), *details), as_json=as_json)
     if status.by_agents:
@@ -255,7 +254,7 @@ def stop_command(
         if file is None:
             _stop(Running(robot))
         else:
-            poise.stop_without_manager(load(file))
+            poise.stop_without_manager(poise.model.load(file))
     console_to().print("stopped")
 
 

@@ -24,7 +24,7 @@ from poise.cli.options import (
     try_write,
 )
 from poise.errors import UsageError
-from poise.model.load import load
+from poise.model.loading import load
 from poise.session.folders import to_write
 from poise.session.placing.placement import place
 from poise.session.profiling.stored_profiles import profiled

@@ -1,6 +1,7 @@
 """The records of a robot, and the file that describes it."""
 
-from poise.model.load import load
+from typing import TYPE_CHECKING
+
 from poise.model.robot import (
     Action,
     Architecture,
@@ -20,6 +21,9 @@ from poise.model.robot import (
     Workload,
 )
 from poise.model.steps import Prefetch
+
+if TYPE_CHECKING:
+    from poise.model.loading import load
 
 __all__ = [
     "Action",
@@ -41,3 +45,12 @@ __all__ = [
     "Workload",
     "load",
 ]
+
+
+def __getattr__(name: str) -> object:
+    """Import what reads files, which takes long, when it is first asked for."""
+    if name != "load":
+        raise AttributeError(f"module 'poise.model' has no attribute '{name}'")
+    from poise.model.loading import load  # noqa: PLC0415
+
+    return load

@@ -1,78 +1,14 @@
 """Where each component runs: the objective, the greedy, search, proof, explanation."""
 
-from poise.plan.explanation import Explanation, Option, Rejection, explain
-from poise.plan.fewest_computers import Smallest, smallest
-from poise.plan.from_robot import problem_of, static
-from poise.plan.phase_problem import PhaseProblem, TaskProblem, task_problem_of
-from poise.plan.phase_result import PhaseMove, TaskResult
-from poise.plan.phase_search import solve_phases
-from poise.plan.planner import Overload, Planner, evaluate, solve
-from poise.plan.problem.changed_problem import (
-    PRICE,
-    Margin,
-    add,
-    keep_components,
-    scale,
-    share_cpu,
-    without,
-)
-from poise.plan.problem.items import Bundle, Edge, Hop, Item, Run, SoftLimit, TimeLimit
-from poise.plan.problem.problem import Problem, load, schema
-from poise.plan.result import Result
-from poise.plan.result_records import (
-    ComputerTried,
-    Conflict,
-    GreedyStep,
-    More,
-    Shortage,
-    Terms,
-    Tightest,
-    TimeTaken,
-)
+from importlib import import_module
+from typing import TYPE_CHECKING
 
-__all__ = [
-    "PRICE",
-    "Bundle",
-    "ComputerTried",
-    "Conflict",
-    "Edge",
-    "Explanation",
-    "GreedyStep",
-    "Hop",
-    "Item",
-    "Margin",
-    "More",
-    "Option",
-    "Overload",
-    "PhaseMove",
-    "PhaseProblem",
-    "Planner",
-    "Problem",
-    "Rejection",
-    "Result",
-    "Run",
-    "Shortage",
-    "Smallest",
-    "SoftLimit",
-    "TaskProblem",
-    "TaskResult",
-    "Terms",
-    "Tightest",
-    "TimeLimit",
-    "TimeTaken",
-    "add",
-    "evaluate",
-    "explain",
-    "keep_components",
-    "load",
-    "problem_of",
-    "scale",
-    "schema",
-    "share_cpu",
-    "smallest",
-    "solve",
-    "solve_phases",
-    "static",
-    "task_problem_of",
-    "without",
-]
+if TYPE_CHECKING:
+    from poise.plan.public import *  # noqa: F403, they have no others
+else:
+
+    def __getattr__(name: str) -> object:
+        """Import the planner when it is asked for: its records do not need it."""
+        found = getattr(import_module("poise.plan.public"), name)
+        globals()[name] = found
+        return found

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from poise.errors import FileProblem, RobotError
 from poise.model.check.allowed_computers import notes_of
 from poise.model.check.ros2_components import with_code as connected
-from poise.model.load import Source, load_source
+from poise.model.loading import Source, load_source
 from poise.model.robot import Robot
 from poise.model.yaml_tree import Finding
 from poise.plan import keep_components, problem_of

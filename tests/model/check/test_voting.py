@@ -7,7 +7,7 @@ import pytest
 
 from poise.errors import FileProblem
 from poise.model.check.allowed_computers import allowed_computers, notes_of
-from poise.model.load import load
+from poise.model.loading import load
 from poise.plan import problem_of
 
 Find = Callable[[str], tuple[FileProblem, ...]]

@@ -18,7 +18,7 @@ from poise.estimate.success_rates import Belief
 from poise.manage.journal import Journal
 from poise.manage.tasks.component_reports import choose
 from poise.manage.tasks.concurrent_tasks import Tasks
-from poise.model.load import load_source
+from poise.model.loading import load_source
 from poise.model.repository import search
 from poise.model.robot import Architecture, Layer, Robot
 from poise.plan.planner import SOLVERS

@@ -14,7 +14,7 @@ from poise.estimate import profiles as profile_file
 from poise.estimate.code_version import version_of
 from poise.estimate.demands import cpu_demand, memory_demand, missing, with_profile
 from poise.estimate.profiles import ComponentProfile, Profile, Store
-from poise.model.load import load_source
+from poise.model.loading import load_source
 from poise.model.robot import Robot
 from poise.model.yaml_tree import Location, with_values
 from poise.runtime.calibration import score

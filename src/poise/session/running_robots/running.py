@@ -36,7 +36,6 @@ from poise.session.arguments import check_amount, check_type
 from poise.session.render.status_tables import Status
 from poise.session.render.tables import Outcome, outcome_sentence
 from poise.session.running_robots.running_component import RunningComponent
-from poise.session.running_robots.without_manager import stop_agents
 from poise.wire.records.request_records import SHOWN_ITEMS, TapReading
 
 _TASK_POLLED_EVERY = 0.05
@@ -382,6 +381,9 @@ class Running:
         except NoManager as error:
             if error.left is None:
                 raise
+            # what leads agents is slow to import, and hardly ever needed
+            from poise.session.running_robots.without_manager import stop_agents  # noqa: PLC0415
+
             stop_agents(error.left)
             return
         if remaining:
