@@ -102,9 +102,7 @@ def test_its_parts_are_there_without_an_import_of_their_own() -> None:
         ),
     ],
 )
-def test_nobody_loads_parts_that_are_not_used(
-    loaded: str, without: list[str]
-) -> None:
+def test_nobody_loads_parts_that_are_not_used(loaded: str, without: list[str]) -> None:
     code = f"import sys; {loaded}; print([m for m in {without} if m in sys.modules])"
     done = subprocess.run(
         [sys.executable, "-c", code],
