@@ -1,6 +1,6 @@
 """The records of a robot: pure, frozen, in SI units (cores, bytes, seconds, bytes/s).
 
-`poise.model.loading` reads them from a robot file; `says` describes the keys of the file.
+`poise.model.loading` reads them from a robot file; `says` describes its keys.
 Names are unique within their kind; names of components are unique in the whole robot.
 """
 
