@@ -6,7 +6,7 @@ import inspect
 import zlib
 from collections.abc import Callable, Iterable, Mapping
 from functools import cache
-from types import FunctionType, MethodType
+from types import FunctionType
 from typing import Any, NoReturn, get_type_hints
 
 from msgspec import Struct
@@ -100,7 +100,8 @@ def _unannotated(
 
 def as_declared(run: Callable[..., Any], method: Method) -> Callable[..., Any]:
     """Return a method of a target that takes names and defaults of the interface."""
-    if not isinstance(run, FunctionType | MethodType) or hasattr(run, "__signature__"):
+    function = getattr(run, "__func__", run)
+    if not isinstance(function, FunctionType) or hasattr(function, "__signature__"):
         return run  # written in C++
     own = inspect.signature(run, follow_wrapped=False).parameters.values()
     if _unannotated(own) == method.parameters:
