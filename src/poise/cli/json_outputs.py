@@ -27,8 +27,8 @@ from poise.model.schema import flush_left
 from poise.plan.phase_result import PlainPhases
 from poise.plan.result_records import PlainResult
 from poise.session.deploy.deploy import Deployed
-from poise.session.placing.first_phase import Described, Listed
 from poise.session.profiling.calibrate import Calibration
+from poise.session.robot_file import Described, Listed
 from poise.session.run_report import RunReport
 from poise.session.running_robots.local_robots import Rate, Robots
 from poise.session.running_robots.playback import Playback

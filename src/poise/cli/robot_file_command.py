@@ -15,17 +15,16 @@ from rich.console import RenderableType
 from rich.markup import escape
 from rich.table import Table
 
+import poise
 from poise.cli.options import AsJson, RobotFile, Set, arguments_of, busy, show
 from poise.errors import FileProblem, UsageError, unknown
 from poise.estimate.outcomes import forget
 from poise.estimate.success_rates import beliefs_about
 from poise.model.loading import load
 from poise.model.policy import Policy, policies_of
-from poise.session.placing.first_phase import Described, Listed, listed
-from poise.session.recorded_run import PolicyEvent, test_policies
 from poise.session.render.printable import console_to
 from poise.session.render.tables import table
-from poise.session.robot_file import check, notes
+from poise.session.robot_file import Described, Listed, check, listed, notes
 from poise.units import counted, format_seconds
 
 
@@ -115,7 +114,7 @@ def policy_command(
         return
     if recording is None:
         raise UsageError("give a recording: --recording FILE, of `poise up --record`")
-    events = test_policies(
+    events = poise.test_policies(
         robot, recording, say=lambda text: console.print(escape(text), style="yellow")
     )
     show(events, _event_parts(events), as_json=as_json)
@@ -135,7 +134,7 @@ def _policy_table(policies: tuple[Policy, ...]) -> Table:
     return rows
 
 
-def _event_parts(events: tuple[PolicyEvent, ...]) -> Iterator[RenderableType]:
+def _event_parts(events: tuple[poise.PolicyEvent, ...]) -> Iterator[RenderableType]:
     rows = table("at [s]", "policy", "do", "what was seen", folds=3)
     for event in events:
         rows.add_row(f"{event.at:.1f}", event.policy, event.do or "", event.what)

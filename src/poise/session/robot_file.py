@@ -1,4 +1,4 @@
-"""A robot file: all its problems, and the robot that it describes."""
+"""A robot file: its problems, the robot that it describes, and its architectures."""
 
 from __future__ import annotations
 
@@ -6,13 +6,17 @@ from collections.abc import Callable, Iterator, Mapping
 from os import PathLike
 from pathlib import Path
 
+from msgspec import Struct
 from msgspec.structs import replace
 
 from poise.errors import FileProblem, RobotError
+from poise.estimate.code_version import hash_of
+from poise.estimate.success_rates import Belief
 from poise.model.check.allowed_computers import notes_of
 from poise.model.check.ros2_components import with_code as connected
 from poise.model.loading import Source, load_source
-from poise.model.robot import Robot
+from poise.model.repository import search
+from poise.model.robot import Architecture, Layer, Robot
 from poise.model.yaml_tree import Finding
 from poise.plan import keep_components, problem_of
 from poise.plan.conflict import conflict
@@ -172,3 +176,72 @@ def _as_html(robot: Robot) -> str:
 
 # Jupyter asks for it; the model, which stands below, draws nothing
 Robot._repr_html_ = _as_html  # type: ignore[attr-defined]
+
+
+class Listed(Struct, frozen=True, kw_only=True, rename={"where": "from"}):
+    """An architecture that a robot has, or could have from the repository.
+
+    Parameters
+    ----------
+    where
+        Its file, line and column.
+    package
+        The installed package that it is in, with its version.
+    hash
+        Changes when what it runs does.
+    unused
+        Why the robot passes it over; empty: it does not.
+    """
+
+    function: str
+    architecture: str
+    where: str
+    package: str
+    layer: Layer
+    quality: float
+    hash: str
+    components: tuple[str, ...]
+    unused: str = ""
+
+
+class Described(Listed, frozen=True, kw_only=True):
+    """The same, with how often actions succeeded with it."""
+
+    learned: tuple[Belief, ...]
+
+
+def listed(file: Path | None) -> list[Listed]:
+    """Return the architectures of a robot and its repository, by function."""
+    if file is None:
+        problems: list[FileProblem] = []
+        offers = search((), problems, ()).offers
+        if problems:
+            raise RobotError(problems=sorted(problems))
+        rows = [_row(o.architecture, str(o.node.place), "", ()) for o in offers]
+    else:
+        source = load_source(file)
+        robot, positions = source.robot, source.positions
+        rows = [
+            _row(a, str(positions.at(("architectures", a.name))), "", robot.folders)
+            for a in robot.architectures
+        ]
+        rows += [
+            _row(o.architecture, str(o.node.place), o.unused, robot.folders)
+            for o in source.repository.offers
+            if o.unused
+        ]
+    return sorted(rows, key=lambda row: row.function)
+
+
+def _row(a: Architecture, where: str, unused: str, folders: tuple[str, ...]) -> Listed:
+    return Listed(
+        function=a.function,
+        architecture=a.name,
+        where=where,
+        package=a.package,
+        layer=a.layer,
+        quality=a.quality,
+        hash=hash_of(a, folders),
+        components=tuple(component.name for component in a.components),
+        unused=unused,
+    )

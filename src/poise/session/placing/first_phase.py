@@ -4,23 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from pathlib import Path
 
 from msgspec import Struct
 from msgspec.structs import replace
 
 from poise import plan
 from poise.clock import boot_time
-from poise.errors import FileProblem, RobotError, UsageError
+from poise.errors import RobotError, UsageError
 from poise.estimate.code_version import hash_of
 from poise.estimate.outcomes import WELL
-from poise.estimate.success_rates import Belief
 from poise.manage.journal import Journal
 from poise.manage.tasks.component_reports import choose
 from poise.manage.tasks.concurrent_tasks import Tasks
-from poise.model.loading import load_source
-from poise.model.repository import search
-from poise.model.robot import Architecture, Layer, Robot
+from poise.model.robot import Robot
 from poise.plan.planner import SOLVERS
 from poise.session import Say
 from poise.session.placing.placement import Placement, decided, place
@@ -95,61 +91,6 @@ def _check_placement(placement: object, tasks: Sequence[str]) -> None:
         )
 
 
-class Listed(Struct, frozen=True, kw_only=True, rename={"where": "from"}):
-    """An architecture that a robot has, or could have from the repository.
-
-    Parameters
-    ----------
-    where
-        Its file, line and column.
-    package
-        The installed package that it is in, with its version.
-    hash
-        Changes when what it runs does.
-    unused
-        Why the robot passes it over; empty: it does not.
-    """
-
-    function: str
-    architecture: str
-    where: str
-    package: str
-    layer: Layer
-    quality: float
-    hash: str
-    components: tuple[str, ...]
-    unused: str = ""
-
-
-class Described(Listed, frozen=True, kw_only=True):
-    """The same, with how often actions succeeded with it."""
-
-    learned: tuple[Belief, ...]
-
-
-def listed(file: Path | None) -> list[Listed]:
-    """Return the architectures of a robot and its repository, by function."""
-    if file is None:
-        problems: list[FileProblem] = []
-        offers = search((), problems, ()).offers
-        if problems:
-            raise RobotError(problems=sorted(problems))
-        rows = [_row(o.architecture, str(o.node.place), "", ()) for o in offers]
-    else:
-        source = load_source(file)
-        robot, positions = source.robot, source.positions
-        rows = [
-            _row(a, str(positions.at(("architectures", a.name))), "", robot.folders)
-            for a in robot.architectures
-        ]
-        rows += [
-            _row(o.architecture, str(o.node.place), o.unused, robot.folders)
-            for o in source.repository.offers
-            if o.unused
-        ]
-    return sorted(rows, key=lambda row: row.function)
-
-
 def note_architectures(journal: Journal, robot: Robot, placement: Placement) -> None:
     """Write into the journal which architectures there are, and which of them run."""
     runs = set(placement.architectures.values())
@@ -170,17 +111,3 @@ def note_architectures(journal: Journal, robot: Robot, placement: Placement) -> 
         if fact["runs"]
     ]
     journal.note("decided", f"provided: {'; '.join(served)}", architectures=facts)
-
-
-def _row(a: Architecture, where: str, unused: str, folders: tuple[str, ...]) -> Listed:
-    return Listed(
-        function=a.function,
-        architecture=a.name,
-        where=where,
-        package=a.package,
-        layer=a.layer,
-        quality=a.quality,
-        hash=hash_of(a, folders),
-        components=tuple(component.name for component in a.components),
-        unused=unused,
-    )
