@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import hashlib
 import importlib.util
+import os
 import shutil
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
@@ -58,9 +59,12 @@ def files_of_modules(
 ) -> set[tuple[int, Path]]:
     """Return the files of modules, and of all that they import from these folders."""
     files: set[tuple[int, Path]] = set()
-    waiting = [*modules]
+    waiting, seen = [*modules], set[str]()
     while waiting and len(files) < _MOST_FILES:
         module = waiting.pop()
+        if module in seen:
+            continue
+        seen.add(module)
         for number, folder in enumerate(folders):
             for file in _sources(module, folder):
                 if (number, file) not in files:
@@ -71,13 +75,21 @@ def files_of_modules(
 
 def _sources(module: str, folder: Path) -> Iterator[Path]:
     """Yield the files of a module and of the packages around it, in the folder."""
-    parts = module.split(".")
-    for end in range(1, len(parts) + 1):
-        base = folder.joinpath(*parts[:end])
-        native = base.parent.glob(f"{parts[end - 1]}.*.so")
-        for file in (base / "__init__.py", base.with_suffix(".py"), *native):
+    for part in module.split("."):
+        try:
+            names = os.listdir(folder)  # noqa: PTH208, a path of each takes long
+        except OSError:  # none of its packages is here
+            return
+        beginning = f"{part}."
+        found = [name for name in names if name.startswith(beginning)]
+        found = [n for n in found if n == f"{part}.py" or n.endswith(".so")]
+        if part in names:
+            found.append(f"{part}/__init__.py")
+        for name in found:
+            file = folder / name
             if file.is_file():
                 yield file
+        folder /= part
 
 
 def _imports(file: Path, folder: Path) -> Iterator[str]:
