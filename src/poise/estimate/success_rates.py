@@ -129,8 +129,13 @@ def learned(
     conditions: Conditions = WELL,
     explore: bool = False,
     seed: int = 0,
+    compares: bool = False,
 ) -> Learned:
-    """Return the robot with learned success: the mean over actions of a function."""
+    """Return the robot with learned success: the mean over actions of a function.
+
+    `compares`: other actions are compared with these, so functions without alternatives
+    count as well, and what was not tried yet.
+    """
     explore, actions = explore or robot.explore, tuple(actions)
     groups: dict[str, list[Architecture]] = {}
     for a in robot.architectures:
@@ -140,15 +145,16 @@ def learned(
     says = []
     for function, group in groups.items():
         needing = dict.fromkeys(a.name for a in actions if function in a.functions)
-        if len(group) == 1 or not needing:
+        if not needing or (len(group) == 1 and not compares):
             continue
         noted, last = outcomes_of(robot, function)
         known = {circumstances: rates(of) for circumstances, of in noted.items()}
-        if not (known or explore):
+        if not (known or explore or compares):
             continue
         by_action = [known.get((name, conditions), {}) for name in needing]
         keys = [(a.name, hash_of(a, robot.folders)) for a in group]
-        if not explore and not any(key in of for of in by_action for key in keys):
+        is_known = any(key in of for of in by_action for key in keys)
+        if not (is_known or explore or compares):
             continue
         parts = []
         for key in keys:
@@ -166,6 +172,23 @@ def learned(
         replace(a, success=success.get(a.name, a.success)) for a in robot.architectures
     )
     return Learned(replace(robot, architectures=tuple(changed)), tuple(says))
+
+
+def is_tried(robot: Robot, action: Action, conditions: Conditions) -> bool:
+    """Return whether it is known how an action ended with what provides it now."""
+    tried = {
+        alternative
+        for function in action.functions
+        for alternative, _ in outcomes_of(robot, function)[0].get(
+            (action.name, conditions), ()
+        )
+    }
+    names = {name for name, _ in tried}
+    return any(
+        (a.name, hash_of(a, robot.folders)) in tried
+        for a in robot.architectures
+        if a.name in names
+    )
 
 
 def beliefs_about(robot: Robot, architecture: str) -> list[Belief]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import msgspec
 import pytest
@@ -13,6 +13,8 @@ from msgspec.structs import replace
 
 from poise.clock import boot_id
 from poise.errors import UsageError
+from poise.estimate import success_rates
+from poise.estimate.outcomes import outcomes_of
 from poise.estimate.success_rates import beliefs_about
 from poise.manage.adaptation.situation import Situation
 from poise.manage.agent_connections.agents import Agents
@@ -585,23 +587,50 @@ def test_a_task_whose_steps_are_others_now_is_dropped(steps: tuple[Step, ...]) -
     assert (tasks.records, said) == ([], [text])
 
 
-def test_how_actions_end_is_learned_and_decides_choices(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("done", "then", "said"),
+    [
+        (False, "goer", "chose 'b'; expected: 'a' 33%, 'b' 50%"),
+        (True, "seeer", "chose 'a'; expected: 'a' 67%, 'b' 50%"),
+    ],
+)
+def test_how_actions_end_is_learned_and_decides_choices(
+    tmp_path: Path, *, done: bool, then: str, said: str
+) -> None:
+    """Of 1 outcome; the other step was not tried, and no function has alternatives."""
     choice = Choice(steps=(act("a", "see"), act("b", "go")))
     robot = replace(robot_with(task("t", choice)), folder=str(tmp_path))
-    rival = replace(
-        robot.architectures[0],
-        name="other",
-        components=(replace(robot.architectures[0].components[0], name="otherer"),),
-    )
-    robot = replace(robot, architectures=(*robot.architectures, rival))
     rig = Rig(robot, "t")
     assert rig.active() == {"seeer"}
-    rig.end("seeer", done=False)
+    assert "chose 'a'; expected: 'a' 100%, 'b' 100%" in rig.said()
+    rig.end("seeer", done=done)
     (belief,) = beliefs_about(robot, "see-arch")
-    assert (belief.action, belief.failed) == ("a", 1)
+    assert (belief.action, belief.done, belief.failed) == ("a", done, not done)
     rig.manager.command("start", "t")
-    assert rig.active() == {"goer"}  # it promises more now
-    assert "chose 'b'; expected: 'a' 50%, 'b' 100%" in rig.said()
+    assert rig.active() == {then}
+    assert said in rig.said()
+
+
+def test_what_a_choice_will_be_is_found_out_once_until_something_is_learned(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[str] = []
+
+    def outcomes(robot: Robot, function: str) -> Any:
+        asked.append(function)
+        return outcomes_of(robot, function)
+
+    monkeypatch.setattr(success_rates, "outcomes_of", outcomes)
+    choice = Choice(steps=(act("b", "go"), act("c", "say")))
+    steps = act("a", "see"), choice
+    robot = replace(robot_with(task("t", *steps)), folder=str(tmp_path))
+    rig = Rig(robot, "t")
+    for _ in range(3):
+        rig.manager.likely_next()
+    assert asked == ["go", "say"]
+    rig.end("seeer")
+    assert rig.active() == {"goer"}
+    assert asked == 2 * ["go", "say"]
 
 
 @pytest.mark.parametrize("verb", ["pause", "resume", "cancel"])

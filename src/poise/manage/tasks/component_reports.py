@@ -8,7 +8,7 @@ from collections.abc import Set as AbstractSet
 from msgspec import Struct
 
 from poise.estimate.outcomes import Conditions
-from poise.estimate.success_rates import learned
+from poise.estimate.success_rates import is_tried, learned
 from poise.manage.adaptation.decision import shortages_of
 from poise.manage.adaptation.situation import Situation
 from poise.manage.agent_connections.statuses import components_of
@@ -148,12 +148,17 @@ def choose(
     """Return which step of a choice promises most; of equals the first.
 
     A step promises what the best architectures for its first action do: their quality
-    times their success under these conditions, as learned.
+    times their success under these conditions, as learned. Once that is known of one
+    step, those that were not tried count as succeeding every other time.
     """
+    actions = [first_action(robot, step) for step in choice.steps]
+    explore = explore or robot.explore
+    compares = explore or any(is_tried(robot, a, conditions) for a in actions)
     promises = []
-    for step in choice.steps:
-        action = first_action(robot, step)
-        known = learned(robot, [action], conditions=conditions, explore=explore).robot
+    for action in actions:
+        known = learned(
+            robot, [action], conditions=conditions, explore=explore, compares=compares
+        ).robot
         promises.append((action.name, promise_of(known, action)))
     best = max(range(len(promises)), key=lambda index: promises[index][1])
     said = ", ".join(f"'{name}' {promise:.0%}" for name, promise in promises)

@@ -15,7 +15,7 @@ from msgspec.structs import replace
 
 from poise.clock import boot_id, boot_time
 from poise.errors import PoiseError, RunError, UsageError
-from poise.estimate.outcomes import Ending, note_outcome
+from poise.estimate.outcomes import Conditions, Ending, note_outcome
 from poise.manage.adaptation.policy_values import values_of
 from poise.manage.adaptation.situation import Situation
 from poise.manage.deploy.desired import Desired
@@ -81,6 +81,7 @@ class TaskManager:
         self._lost: AbstractSet[str] = frozenset()
         self._suspended: AbstractSet[str] = frozenset()
         self._unlearned: list[tuple[ActionEnded, list[str]]] = []
+        self._looked_ahead: dict[tuple[Choice, Conditions], int] = {}
         self._since = boot_time()
         self._upcoming: list[tuple[TaskRecord, Attempt, float]] = []
         self.reports = self._reported()
@@ -344,6 +345,8 @@ class TaskManager:
             except PoiseError as error:
                 what = f"the outcome of '{name}' is not learned: {error}"
                 self._live.journal.note("failed", what)
+        if self._unlearned:
+            self._looked_ahead.clear()
         self._unlearned.clear()
 
     def _condition_holds(self, until: Until) -> bool:
@@ -355,18 +358,27 @@ class TaskManager:
         )
 
     def _choose(self, choice: Choice, is_lookahead: bool) -> int:  # noqa: FBT001
-        note = self._live.journal.note
+        """Return which step of a choice is done; what is looked ahead is remembered.
+
+        Else each look would read all code and all outcomes.
+        """
+        note, conditions = self._live.journal.note, conditions_of(self._situation())
+        known = self._looked_ahead.get((choice, conditions))
+        if is_lookahead and known is not None:
+            return known
         try:
-            return choose(
+            index = choose(
                 self._live.robot,
                 choice,
-                conditions_of(self._situation()),
+                conditions,
                 lambda text: None if is_lookahead else note("decided", text),
                 explore=self._explore,
             )
         except PoiseError as error:
             note("failed", f"the first option of a choice is taken: {error}")
-            return 0
+            index = 0
+        self._looked_ahead[choice, conditions] = index
+        return index
 
     def _kept(self) -> set[str]:
         """Return what keeps its state for a task that waits or is paused."""
