@@ -53,7 +53,7 @@ def _placed(live: LiveRobot, component: str) -> Incarnation:
     try:
         return live.placed[component]
     except KeyError:
-        known = ", ".join(sorted(live.placed))
+        known = ", ".join(sorted(live.placed)) or "none"
         raise UsageError(
             f"component '{component}' is not running (running: {known})"
         ) from None
