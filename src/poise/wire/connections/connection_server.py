@@ -161,21 +161,20 @@ class ConnectionServer:
         connection = Connection(sock)
         served = _ServedConnection(connection, threading.current_thread())
         served.thread = threads.daemon(self._serve, "connection", served, keys)
+        trouble: RuntimeError | None = None
         with self._lock:
-            is_full = len(self._connections) >= _MOST_CONNECTIONS
-            if not is_full and not self._closed.is_set():
-                self._connections.add(served)
+            if len(self._connections) >= _MOST_CONNECTIONS:
+                trouble = RuntimeError(f"it has {_MOST_CONNECTIONS} already")
+            elif not self._closed.is_set():
                 try:
                     served.thread.start()
                 except RuntimeError as error:  # other threads may end
-                    self._connections.discard(served)
-                    text = "%s: no connection is served: %s"
-                    log.warning(text, self._container, error)
+                    trouble = error
                 else:
+                    self._connections.add(served)
                     return
-        if is_full:
-            text = "%s: more than %d connections"
-            log.warning(text, self._container, _MOST_CONNECTIONS)
+        if trouble is not None:
+            self.warning.note(trouble)
         connection.close()
 
     def _serve(self, served: _ServedConnection, keys: Credentials | None) -> None:

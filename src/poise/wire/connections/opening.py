@@ -204,9 +204,9 @@ class AcceptWarning:
         self._last = ""
         self._last_at = float("-inf")
 
-    def note(self, error: OSError) -> None:
-        """Warn of an error of `accept`, unless the connection has just gone."""
-        if error.errno in _PASSING:
+    def note(self, error: OSError | RuntimeError) -> None:
+        """Warn that one was not accepted, unless the connection has just gone."""
+        if isinstance(error, OSError) and error.errno in _PASSING:
             return
         self._last_at, self._last = time.monotonic(), self._sentence(error)
         if self._last_at >= self._again_at:
@@ -221,12 +221,12 @@ class AcceptWarning:
             return self._sentence(error)
         return self._last if time.monotonic() < self._last_at + _LATELY else ""
 
-    def _sentence(self, error: OSError) -> str:
+    def _sentence(self, error: OSError | RuntimeError) -> str:
         return f"{self._who} accepts no connection for now: {error}{_remedy(error)}"
 
 
-def _remedy(error: OSError) -> str:
-    if error.errno != errno.EMFILE:
+def _remedy(error: OSError | RuntimeError) -> str:
+    if not isinstance(error, OSError) or error.errno != errno.EMFILE:
         return ""
     limit, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     return (
