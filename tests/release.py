@@ -34,6 +34,7 @@ def make_release(folder: Path, version: str, protocol: int) -> Path:
     (info / "METADATA").write_text(
         f"Metadata-Version: 2.1\nName: poise\nVersion: {version}\n"
     )
+    _edit(site / "poise/version.py", (r"^VERSION = .*", f'VERSION = "{version}"'))
     records = site / "poise/wire/records"
     _edit(
         records / "request_records.py",

@@ -174,7 +174,7 @@ else:
     def __getattr__(name: str) -> object:
         """Import a name when it is first asked for, so that `import poise` is quick."""
         if name == "__version__":
-            found: object = import_module("importlib.metadata").version("poise")
+            found: object = import_module("poise.version").VERSION
         elif name in _PARTS:
             found = import_module(f"poise.{name}")
         elif name in _HOMES:

@@ -4,8 +4,9 @@ CMake's ``poise_DIR`` names it.
 """
 
 from hashlib import blake2s
-from importlib.metadata import version
 from pathlib import Path
+
+from poise.version import VERSION
 
 
 def folder() -> Path:
@@ -23,7 +24,7 @@ def release() -> str:
     digest = blake2s(digest_size=4)
     for header in headers():
         digest.update(header.read_bytes())
-    return f"{version('poise')}, headers {digest.hexdigest()}"
+    return f"{VERSION}, headers {digest.hexdigest()}"
 
 
 def check_built(module: str, built_for: str) -> None:

@@ -25,6 +25,8 @@ from signal import Signals
 
 from msgspec import Struct
 
+from poise.version import VERSION
+
 
 class FileProblem(Struct, frozen=True, order=True):
     """One thing that is wrong in a file.
@@ -163,12 +165,9 @@ def why_too_old(least: str) -> str:
 
     Only major and minor version count. ValueError: `least` is no version.
     """
-    from importlib.metadata import version  # noqa: PLC0415 - slow, hardly ever needed
-
-    own = version("poise")
-    if _minor(least) <= _minor(own):
+    if _minor(least) <= _minor(VERSION):
         return ""
-    return f"it needs Poise {least}, and this is {own}: install the newer one"
+    return f"it needs Poise {least}, and this is {VERSION}: install the newer one"
 
 
 def _minor(text: str) -> tuple[int, int]:

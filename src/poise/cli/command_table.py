@@ -12,6 +12,7 @@ from typing import Annotated
 import typer
 
 from poise.errors import UsageError, did_you_mean, listed
+from poise.version import VERSION
 
 COMMANDS = {
     "check": ("robot_file", "Check a robot file and the code that it names."),
@@ -174,9 +175,7 @@ def _flowing(text: str) -> str:
 
 def _show_version(*, asked: bool) -> None:
     if asked:
-        from importlib.metadata import version
-
-        sys.stdout.write(f"poise {version('poise')}\n")
+        sys.stdout.write(f"poise {VERSION}\n")
         raise typer.Exit
 
 

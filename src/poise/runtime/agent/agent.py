@@ -16,7 +16,6 @@ import time
 import uuid
 from collections.abc import Callable
 from functools import partial
-from importlib.metadata import version
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
@@ -56,6 +55,7 @@ from poise.runtime.supervision.process_host import ControlLink, ProcessHost
 from poise.runtime.supervision.sampler import Sampler
 from poise.runtime.supervision.supervisor import part_of
 from poise.runtime.waker import Waker, wait_readable
+from poise.version import VERSION
 from poise.wire.address import KEYS, socket_path
 from poise.wire.codec import WireError
 from poise.wire.connections.gateway import Gateway
@@ -144,7 +144,7 @@ class Agent:
                 f"{'witness' if setup.is_witness else 'agent'} of computer "
                 f"'{setup.computer}' of robot '{setup.robot}' at "
                 f"{self._endpoint}, gateway {gateway}; "
-                f"Poise {version('poise')}, protocol {PROTOCOL}"
+                f"Poise {VERSION}, protocol {PROTOCOL}"
             )
             if notice := self._notice():
                 self._say(notice)
@@ -225,7 +225,7 @@ class Agent:
             adoption=self._adoption,
             disk=disk,
             code=self._code,
-            version=version("poise"),
+            version=VERSION,
             platform=this_platform(),
             standby=self._standby,
             heartbeats=self._heartbeats,

@@ -7,7 +7,6 @@ import traceback
 from collections import deque
 from collections.abc import Callable
 from functools import partial
-from importlib.metadata import version
 from threading import Lock
 from typing import TypeVar
 
@@ -19,6 +18,7 @@ from poise.clock import Clock
 from poise.decoding import from_msgpack
 from poise.runtime.agent.surroundings import Reply
 from poise.threads import BackOff
+from poise.version import VERSION
 from poise.wire.codec import MALFORMED
 from poise.wire.records.request_records import (
     LEAST_PROTOCOL,
@@ -143,7 +143,7 @@ class AgentInbox:
         older = "agent" if asker.protocol > PROTOCOL else "manager"
         return (
             f"manager speaks protocol {asker.least} to {asker.protocol}, agent "
-            f"'{self._computer}' (Poise {version('poise')}) speaks {LEAST_PROTOCOL} to "
+            f"'{self._computer}' (Poise {VERSION}) speaks {LEAST_PROTOCOL} to "
             f"{PROTOCOL}: upgrade the {older}, one release after the other"
         )
 

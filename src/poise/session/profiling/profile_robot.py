@@ -6,7 +6,6 @@ import contextlib
 import datetime as dt
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
-from importlib.metadata import version
 from pathlib import Path
 
 import msgspec
@@ -42,6 +41,7 @@ from poise.session.profiling.stored_profiles import (
     store_of,
 )
 from poise.session.run_records import silent_ports
+from poise.version import VERSION
 
 Tick = Callable[[float], None]
 Progress = Callable[[str, float], AbstractContextManager[Tick]]
@@ -277,7 +277,7 @@ class _Measuring(Struct, frozen=True, kw_only=True):
         components = {n: c for each in found for n, c in each.components.items()}
         return Profile(
             robot=self.robot.name,
-            poise=version("poise"),
+            poise=VERSION,
             computer=self.computer,
             speed=self.robot.computer(self.computer).speed,
             at=dt.datetime.now(dt.UTC).isoformat(timespec="seconds"),
