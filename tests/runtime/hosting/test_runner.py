@@ -283,6 +283,16 @@ def test_what_is_busy_when_it_is_deactivated_works_when_it_is_active_again(
 
 
 @pytest.mark.slow
+def test_an_end_in_the_middle_of_a_call_is_a_bad_end(running: Fixture) -> None:
+    runner = running.start(Recorder)
+    component = reach(runner, "active")
+    runner.exclusion.enter(new_chain(), LIMIT)  # a call that does not end
+    reach(runner, "finalized")
+    assert component.record[-2:] == ["deactivate", "cleanup"]
+    assert runner.bad_end == "a call to component 'one' ran as it ended"
+
+
+@pytest.mark.slow
 def test_answers_are_taken_before_it_is_deactivated(running: Fixture) -> None:
     goes_on = threading.Event()
 

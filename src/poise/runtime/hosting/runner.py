@@ -365,6 +365,8 @@ class Runner:
                 log.warning("%s", error)
                 if self.life_cycle.goal == "finalized":
                     self.gate.pause_for_good()
+                    name = self.spec.name
+                    self.bad_end = f"a call to component '{name}' ran as it ended"
                 elif self.clock.now() > until:
                     self._note_failure("deactivate", error)
                     self.life_cycle.enter("failed")
