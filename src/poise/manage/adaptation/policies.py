@@ -147,8 +147,8 @@ class OwnFunction:
         self.trouble = f"'{self._reference}' {why}; {again_in}"
 
 
-Key = tuple[str, str, str]
-"""A policy, a subject, and the computer where that is."""
+Key = tuple[str, str, str, str]
+"""A policy, a subject, the computer where that is, and what is to be done."""
 Read = Callable[[Subject], tuple[Values, ...]]
 """Returns the values of all subjects of a kind; called more than once for each."""
 
@@ -314,7 +314,8 @@ def _what(policy: Policy, values: Values) -> str:
 
 
 def _key(policy: Policy, values: Values) -> Key:
-    return policy.name, values.name, getattr(values, "computer", "")
+    do = policy.do or ""  # a function may want several things done about a subject
+    return policy.name, values.name, getattr(values, "computer", ""), do
 
 
 def _condition(policy: Policy) -> Condition:

@@ -154,7 +154,7 @@ def test_what_is_not_reported_for_a_moment_goes_on(situation: Make) -> None:
 
 def test_what_a_function_wants_no_more_ends_at_once(situation: Make) -> None:
     """Whatever else is reported: it has seen what there is."""
-    policies, wanted = Policies([LATE]), ("own", "a", "left")
+    policies, wanted = Policies([LATE]), ("own", "a", "left", "move")
     policies.since, policies._seen_at = {wanted: 9.0}, {wanted: 9.9}
     policies.evaluate(partial(values_of, situation()), 10.0, lacks_some=True)
     assert not policies.since

@@ -33,6 +33,10 @@ def odd(seen):
 def stranger(seen):
     return [PolicyAction(do="restart", about="nobody", why="so")]
 
+def thorough(seen):
+    actions = "notify", "replan", "suspend"
+    return [PolicyAction(do=do, about="left", why=do) for do in actions]
+
 def hangs(seen):
     while True:
         pass
@@ -151,5 +155,18 @@ def test_an_action_about_nobody_is_said(tmp_path: Path) -> None:
         assert policies.troubles()["own"] == (
             "policy 'own': 'mine:stranger' names no subject 'nobody' for 'restart'"
         )
+    finally:
+        policies.close()
+
+
+def test_several_things_may_be_done_about_one_subject(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(CODE, encoding="utf-8")
+    own = Policy(name="own", call="mine:thorough", lasts=0.0)
+    policies = Policies([own], str(tmp_path))
+    try:
+        found = policies.evaluate(SEEN.of, 0.0, waits=True)
+        assert [each.what for each in found] == ["notify", "replan", "suspend"]
+        policies.note_acted(found[:2], 0.0)
+        assert policies.due(found, 1.0) == found[2:]  # it has not been done
     finally:
         policies.close()
