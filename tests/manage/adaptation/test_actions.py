@@ -152,3 +152,13 @@ def test_an_action_that_fails_is_said_and_the_loop_goes_on() -> None:
     loop.adapt()
     (entry,) = [e for e in robbed.journal.entries() if e.kind == "failed"]
     assert entry.what.endswith("architecture 'low-task' has no alternative")
+
+
+def test_what_is_where_a_policy_moves_it_is_left_alone() -> None:
+    policies = (about("low", do="move", to="left", lasts=0.0),)
+    robbed = Robbed(replace(robot_with(), policies=policies))
+    loop = Adaptation(
+        robbed.run, robbed.situation, robbed.suspensions, clock=lambda: 0.0
+    )
+    loop.adapt()
+    assert not [e for e in robbed.journal.entries() if "policy" in e.what]

@@ -66,7 +66,14 @@ class Actions:
     def respond(self, situation: Situation, _desired: Desired) -> Change | None:
         """Return the action that is due, the first one if there are more."""
         due = self._policies.due(situation.symptoms, situation.now)
-        symptom = next((s for s in due if s.policy.do in self._by_name), None)
+        symptom = next(
+            (
+                s
+                for s in due
+                if s.policy.do in self._by_name and not _is_there(s, situation)
+            ),
+            None,
+        )
         if symptom is None:
             return None
         policy = symptom.policy
@@ -94,8 +101,6 @@ class Actions:
         policy, live = symptom.policy, self._live
         component, target = _component(symptom), policy.to or ""
         source = situation.placement.get(component, "")
-        if source == target:
-            return
         check_links(situation, component, target)
         if not policy.force:
             if not self._limits.may_move(1, now):
@@ -159,6 +164,12 @@ def _raise_on_failure(report: MigrationReport | TransitionReport) -> None:
 def _component(symptom: Symptom) -> str:
     """Return the component that a symptom is about: its own, or that of a timer."""
     return getattr(symptom.values, "component", symptom.values.name)
+
+
+def _is_there(symptom: Symptom, situation: Situation) -> bool:
+    """Return whether a component to be moved is where it should be."""
+    where = situation.placement.get(_component(symptom))
+    return symptom.policy.do == "move" and where == symptom.policy.to
 
 
 def _lowest(situation: Situation, computer: str) -> Architecture:
