@@ -54,8 +54,8 @@ _AS_OFTEN = 1.05
 
 
 NO_PROFILE = (
-    "there is no profile: the ages are guessed from the CPU that components need; "
-    "`poise profile` measures"
+    "the robot file names no profile that was measured, as in `profile: profile.yaml`: "
+    "the ages are guessed from the CPU that components need; `poise profile` measures"
 )
 """Said where nothing was measured."""
 

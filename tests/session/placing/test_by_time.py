@@ -257,7 +257,7 @@ def test_no_placement_of_six_components_is_better_by_simulation(tmp_path: Path) 
 def test_what_was_not_measured_is_said_to_be_a_guess(
     placed: Place, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    guess = "there is no profile: the ages are guessed"
+    guess = "the robot file names no profile that was measured, as in `profile: "
     assert guess in str(placed())
     profile = Profile(
         robot="some", poise="", computer="", speed=1.0, at="", seconds=1.0
