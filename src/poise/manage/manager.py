@@ -115,7 +115,7 @@ class Manager:
         self._stops: list[Results] = []
         self._ended: StopReport | Refusal | None = None
         self._stopping = threading.Event()
-        self._why_over = ""
+        self._why_over, self._over_since = "", 0.0
         self._watch = Watch(live)
         others = samples, recording, live.agents.own_keys
         self._troubles = ManagerTroubles(
@@ -436,6 +436,8 @@ class Manager:
 
         Empty: it leads.
         """
+        if self._why_over:  # it has left, also when it could lead again
+            return self._why_over, self._over_since
         agents = self._live.agents
         if (successor := agents.successor()) is not None:
             text = f"{successor} has taken over the robot, which keeps running"
@@ -456,13 +458,13 @@ class Manager:
             yield Deviation(what=what, computer=host, since=since)
 
     def _raise_on_successor(self) -> None:
-        text, _ = self._end_of_lead()
+        text, since = self._end_of_lead()
         if text and not self._why_over:
             self._live.journal.note("seen", text)
             self._live.leave()
-            self._why_over = text
-        if self._why_over:  # again, when something that waited has caught it
-            raise TakenOver(self._why_over)
+            self._why_over, self._over_since = text, since
+        if text:  # again, when something that waited has caught it
+            raise TakenOver(text)
 
     def _observe(self) -> None:
         self._parts.run("see who manages the robot", self._raise_on_successor)

@@ -215,6 +215,8 @@ def test_a_manager_that_has_a_successor_leaves_the_robot_as_it_is(
     assert said.since == LATER.since
     with pytest.raises(TakenOver, match=r"user bob on desk \(process 8\) since"):
         manager.work(0.0)
+    agents.later = None  # the other one has ended
+    assert manager.status().deviations[0] == said
     manager.stop()
     assert all(status.containers for status in agents.statuses().values())
     assert "has taken over the robot" in sentences(journal)[-1]

@@ -310,7 +310,7 @@ class Migration:
         live = self._live
 
         def have_ended() -> bool:
-            self._look()
+            live.check()
             live.reconcile()
             away = live.agents.out_of_reach()
             is_told = not self._committed_generation or self._is_known()
