@@ -315,10 +315,13 @@ def test_python_is_the_one_that_poise_runs_in() -> None:
     assert program("python", ".") == sys.executable
 
 
-def test_its_cpu_time_is_counted(running: Running) -> None:
+def test_its_cpu_time_is_counted_and_stays_when_it_ends(running: Running) -> None:
     runner = running.shell("while :; do :; done")
     wait_until(lambda: runner.counters.cpu() > 0.1)  # more than its thread needs
     assert runner.status().cpu > 0.1
+    runner.aim("inactive")
+    assert runner.life_cycle.wait_state({"inactive"}, LIMIT) == "inactive"
+    assert runner.status().cpu > 0.1  # a report of a run looks at this
 
 
 def test_it_does_not_survive_a_container_that_is_killed(running: Running) -> None:

@@ -85,6 +85,7 @@ class CommandLine(Component):
     def deactivate(self) -> None:
         """Ask the process to end, and kill one that does not."""
         self._is_stopping = True
+        self._context.count_process(0)  # while it is there to be asked
         for number, limit in (
             (signal.SIGTERM, _STOP_LIMIT),
             (signal.SIGKILL, _KILL_LIMIT),
@@ -97,7 +98,6 @@ class CommandLine(Component):
             self._watcher.join(limit)
             if not self._watcher.is_alive():
                 break
-        self._context.count_process(0)
 
     def freeze(self, *, is_frozen: bool) -> None:
         """Stop the process, or let it go on; harmless when repeated."""

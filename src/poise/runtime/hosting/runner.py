@@ -128,6 +128,7 @@ class Runner:
         self._begun = set[int]() if is_new else set(spec.actions)
         self._thread = threads.daemon(self._main, spec.name[:15])
         self.asked_at = clock.now()
+        self._cpu_before = 0.0  # of processes that were counted
         self.reason_to_end = ""
         self.bad_end = ""
         """What went wrong as it ended, in words."""
@@ -228,7 +229,7 @@ class Runner:
             handler=handler,
             handler_seconds=now - since,
             hung=self.hang()[1],
-            cpu=self.counters.cpu() if cpu is None else cpu,
+            cpu=self._cpu_before + (self.counters.cpu() if cpu is None else cpu),
             start=self._start,
             snapshot=self._snapshot,
             has_state=type(self.component).snapshot is not Component.snapshot,
@@ -271,6 +272,7 @@ class Runner:
         if pid:
             self.counters.watch(pid)
         else:
+            self._cpu_before += self.counters.cpu()
             self.counters.begin()
 
     def _give_up(self, reason: str) -> None:
