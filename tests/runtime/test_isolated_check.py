@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from poise.model.loading import load_source
 from poise.model.robot import (
     Architecture,
     ComponentEntry,
@@ -206,3 +207,18 @@ def test_what_classes_declare_is_known_without_importing_them_here(
     assert code.keep == {"seen": 3}
     assert code.sends == {"tick": (), "seen": ("out",)}
     assert "declares" not in sys.modules
+
+
+def test_a_module_that_loads_its_own_robot_is_told_to_guard_that(
+    tmp_path: Path,
+) -> None:
+    """Else each check would import it, and so begin another one."""
+    file = tmp_path / "robot.yaml"
+    (tmp_path / "bad.py").write_text(f"{GOOD}import poise\npoise.load({str(file)!r})\n")
+    file.write_text("""
+robot: own
+computers: {a: {cpu: 1, memory: 1 GiB}}
+architectures: {x: {function: f, components: {a: {implementation: 'bad:Good'}}}}
+""")
+    (finding,) = check_code_isolated(load_source(file).robot, SHORT).findings
+    assert "UsageError: a robot is loaded while its code is imported" in finding.message

@@ -23,7 +23,7 @@ from typing import Any
 import msgspec
 
 from poise.decoding import from_json, from_msgpack
-from poise.errors import PoiseError, RobotError, RunError, signal_name
+from poise.errors import PoiseError, RobotError, RunError, UsageError, signal_name
 from poise.model.check.connectors import (
     KnownPort,
     check_cycles,
@@ -295,7 +295,15 @@ def check_code_isolated(
     limit: float = IMPORT_LIMIT,
     meanwhile: Callable[[], object] = lambda: None,
 ) -> CheckedCode:
-    """Return `check_code`'s findings, and code that ends, crashes or hangs."""
+    """Return `check_code`'s findings, and code that ends, crashes or hangs.
+
+    UsageError: a module that is imported for such a check asks for one.
+    """
+    if _CHILD in sys.orig_argv:
+        raise UsageError(
+            "a robot is loaded while its code is imported: guard scripts with `if "
+            "__name__ == '__main__':`"
+        )
     fatal: dict[str, Finding] = {}
     while isinstance(result := _check(robot, fatal, limit, meanwhile), _Death):
         blamed = _blamed(robot, result)
