@@ -418,7 +418,7 @@ def test_what_has_no_room_on_the_page_is_said_once(
     taken = [ComponentCounters() for _ in range(MOST)]
     for number, counters in enumerate(taken):
         counters.enter(page._native, f"other-{number}", EPOCH)
-    mine = cast("Runner", SimpleNamespace(counters=ComponentCounters()))
+    mine = cast("Runner", SimpleNamespace(counters=ComponentCounters(), ports={}))
     for _ in range(2):
         page.show({("mine", EPOCH): mine}, ())
     (said,) = caplog.messages

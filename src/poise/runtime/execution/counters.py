@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 MOST = 8192
-"""Components, timers and ends of connectors that fit; unused records take no memory."""
+"""Components, timers, ends of connectors, and what calls a component from outside, that
+fit; unused records take no memory."""
 ComponentKey = tuple[str, int]
 """Name and epoch of a component."""
 
@@ -98,7 +99,13 @@ class StatsPage:
     ) -> None:
         """Let the agent see the counters of these, and of no others."""
         components = {key: runner.counters for key, runner in running.items()}
+        called = [
+            runner
+            for runner in running.values()
+            if any(port.kind == "provides" for port in runner.ports.values())
+        ]
         wanted: set[ComponentCounters | Counts] = {*components.values()}
+        wanted |= {runner.outside_calls for runner in called}
         wanted |= {connector.counts for connector in connectors}
         for removed in self._shown - wanted:
             removed.leave()
@@ -107,6 +114,11 @@ class StatsPage:
         for (name, epoch), counters in components.items():
             if counters in new and not counters.enter(self._native, name, epoch):
                 self._refuse(counters, f"component '{name}'")
+        for runner in called:
+            counts = runner.outside_calls
+            if counts in new and not counts.enter(self._native, ""):
+                self._refuse(counts, f"what calls '{runner.spec.name}' from outside")
+            counts.attribute(None, runner.counters)
         for connector in connectors:
             spec, counts = connector.spec, connector.counts
             if counts in new and not counts.enter(self._native, spec.name):

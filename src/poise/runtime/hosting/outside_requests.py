@@ -161,7 +161,7 @@ class OutsideRequests:
         new_chain()
         left = max(0.0, until - time.monotonic())
         code = getattr(runner.component, method.name)
-        call = direct_call(code, runner.exclusion, left, Counts(), away)
+        call = direct_call(code, runner.exclusion, left, runner.outside_calls, away)
         with within(left):
             return call(*arguments)
 

@@ -28,6 +28,7 @@ from poise.runtime.component.started_calls import StartedCalls
 from poise.runtime.connectors.endpoints import ComponentEndpoints
 from poise.runtime.connectors.interface import methods
 from poise.runtime.execution.container_lease import LeaseEnd, LeaseEnded
+from poise.runtime.execution.counters import Counts
 from poise.runtime.execution.data_age import DataAges, Stamped
 from poise.runtime.execution.exclusion import Exclusion, Redirected, new_chain
 from poise.runtime.execution.input_watch import InputWatch
@@ -87,6 +88,7 @@ class Runner:
             ),
         )
         self.counters = ComponentCounters()
+        self.outside_calls = Counts()
         self.ages = DataAges(spec.chains, clock)
         self.endpoints = ComponentEndpoints(
             self.component,

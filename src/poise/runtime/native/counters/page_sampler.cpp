@@ -19,6 +19,7 @@ nb::object PageSampler::read() {
     if (!id) continue;
     const Kind kind = memory_[i].kind.get();
     if (kind != Kind::component && kind != Kind::connector) continue;
+    if (!known_[i].has_name) continue;  // calls from outside: over no connector
     nb::tuple sample =
         kind == Kind::component ? component_sample(i, cpu) : connector_sample(i);
     // a record that was reused meanwhile counts from the next sample on
@@ -54,6 +55,7 @@ void PageSampler::learn() {
         text.data(), static_cast<Py_ssize_t>(text.size()), "replace"));
     if (!name.is_valid()) throw nb::python_error();
     known.name = std::move(name);
+    known.has_name = !text.empty();
     known.id = memory_.is_still(i, id) ? id : 0;
   }
 }

@@ -31,6 +31,7 @@ class PageSampler {
   struct Known {  // of a record, as long as its id stays
     std::uint64_t id = 0;
     nanobind::object name;
+    bool has_name = true;  // it is reported
     std::unique_ptr<ThreadCounters> thread;  // of a component, or a call that runs
     std::uint64_t call = 0;    // that runs over it
     std::int64_t began = 0;    // the CPU time of that one's thread when it was first seen [ns]
