@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from queue import SimpleQueue
-from typing import Protocol
+from typing import Annotated, Protocol
+
+import pytest
+from msgspec import Meta
 
 from poise import Component, Provided
 from poise.clock import SystemClock
@@ -16,51 +20,77 @@ from poise.wire.records.deployment_records import ComponentSpec
 from poise.wire.records.request_records import PortAnswer, PortRequest
 
 LIMIT = 20.0
+Seconds = Annotated[float, Meta(ge=0)]
 
 
 class Burns(Protocol):
-    def burn(self, seconds: float) -> None: ...
+    def burn(self, seconds: Seconds) -> None: ...
 
 
 class Burner(Component):
     burns: Provided[Burns]
 
-    def burn(self, seconds: float) -> None:
+    def burn(self, seconds: Seconds) -> None:
         end = time.thread_time() + seconds
         while time.thread_time() < end:
             pass
 
 
-def test_the_cpu_time_of_a_call_from_outside_counts_for_its_component() -> None:
-    """It goes over no connector, so none is told of."""
-    spec = ComponentSpec(name="burner", goal="active")
-    runner = Runner(spec, Burner, SystemClock(), lambda: None)
-    runner.start()
-    runner.aim("active")
-    assert runner.life_cycle.wait_state({"active"}, LIMIT) == "active"
-    answers = SimpleQueue[PortAnswer]()
-    requests, page = OutsideRequests(lambda _: runner, answers.put), new_memory()
-    counters = StatsPage(page)
-    key = spec.name, spec.epoch
-    counters.show({key: runner}, ())
-    before = counters.cpu()[key]
-    for number in range(2):
-        requests.take(
-            PortRequest(
-                number=number,
-                container="here",
-                component="burner",
-                port="burns",
-                method="burn",
-                value=pack([[0.1], {}]),
-                limit=LIMIT,
-            )
+class Asked:
+    """A component at work, of which something is asked."""
+
+    def __init__(self) -> None:
+        spec = ComponentSpec(name="burner", goal="active")
+        self.key = spec.name, spec.epoch
+        self.runner = Runner(spec, Burner, SystemClock(), lambda: None)
+        self.runner.start()
+        self.runner.aim("active")
+        assert self.runner.life_cycle.wait_state({"active"}, LIMIT) == "active"
+        self._answers = SimpleQueue[PortAnswer]()
+        self._requests = OutsideRequests(lambda _: self.runner, self._answers.put)
+
+    def burn(self, seconds: float) -> PortAnswer:
+        request = PortRequest(
+            number=1,
+            container="here",
+            component="burner",
+            port="burns",
+            method="burn",
+            value=pack([[seconds], {}]),
+            limit=LIMIT,
         )
-        assert answers.get(timeout=LIMIT).outcome == "done"
-    assert 0.2 <= counters.cpu()[key] - before < 0.3
-    read = counters._sampler.read()
+        self._requests.take(request)
+        return self._answers.get(timeout=LIMIT)
+
+    def close(self) -> None:
+        self._requests.close()
+        self.runner.aim("finalized")
+        assert self.runner.wait_ended(LIMIT)
+
+
+@pytest.fixture
+def asked() -> Iterator[Asked]:
+    asked = Asked()
+    yield asked
+    asked.close()
+
+
+def test_the_cpu_time_of_a_call_from_outside_counts_for_its_component(
+    asked: Asked,
+) -> None:
+    """It goes over no connector, so none is told of."""
+    page = StatsPage(new_memory())
+    page.show({asked.key: asked.runner}, ())
+    before = page.cpu()[asked.key]
+    for _ in range(2):
+        assert asked.burn(0.1).outcome == "done"
+    assert 0.2 <= page.cpu()[asked.key] - before < 0.3
+    read = page._sampler.read()
     assert read is not None
     assert read[3] == []
-    requests.close()
-    runner.aim("finalized")
-    assert runner.wait_ended(LIMIT)
+
+
+def test_an_argument_out_of_range_is_named_with_its_plain_type(asked: Asked) -> None:
+    answer = asked.burn(-1.0)
+    assert answer.outcome == "refused"
+    assert answer.reason.startswith("argument 1 of burn is not of type float: ")

@@ -10,7 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NoReturn, get_args
+from typing import Annotated, Any, NoReturn, get_args, get_origin
 
 from msgspec import Struct, structs
 
@@ -300,4 +300,5 @@ def _unknown(value: object, type_: object) -> Iterator[str]:
 
 
 def _name(type_: object) -> str:
-    return getattr(type_, "__qualname__", str(type_))
+    plain = get_args(type_)[0] if get_origin(type_) is Annotated else type_
+    return getattr(plain, "__qualname__", str(plain))
