@@ -296,6 +296,13 @@ def every_load(examples: int) -> Callable[[Callable[..., None]], Callable[..., N
 
 @pytest.mark.exhaustive
 @pytest.mark.slow
-@every_load(40)
+@every_load(12)
 def test_moves_cost_no_more_than_any_load_takes(seed: int, kind: str) -> None:
+    check(run(World(seed, KINDS[kind](seed)), 300.0))
+
+
+@pytest.mark.slow
+@pytest.mark.exhaustive
+@every_load(120)
+def test_they_do_under_none_of_many_loads(seed: int, kind: str) -> None:
     check(run(World(seed, KINDS[kind](seed)), 300.0))
