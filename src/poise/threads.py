@@ -83,7 +83,7 @@ def explained(error: Exception) -> Exception:
 def without_process(error: OSError) -> str:
     """Return why a process cannot be started, and a way out, for people."""
     remedy = _REMEDIES.get(error.errno or 0, "")
-    return f"cannot be started: {error.strerror}{remedy and ': '}{remedy}"
+    return f"cannot be started: {error.strerror or error}{remedy and ': '}{remedy}"
 
 
 class Failures:

@@ -137,6 +137,7 @@ def learned(
     count as well, and what was not tried yet.
     """
     explore, actions = explore or robot.explore, tuple(actions)
+    wants_untried = explore or compares
     groups: dict[str, list[Architecture]] = {}
     for a in robot.architectures:
         if a.layer == "sequencing":
@@ -149,12 +150,12 @@ def learned(
             continue
         noted, last = outcomes_of(robot, function)
         known = {circumstances: rates(of) for circumstances, of in noted.items()}
-        if not (known or explore or compares):
+        if not (known or wants_untried):
             continue
         by_action = [known.get((name, conditions), {}) for name in needing]
         keys = [(a.name, hash_of(a, robot.folders)) for a in group]
         is_known = any(key in of for of in by_action for key in keys)
-        if not (is_known or explore or compares):
+        if not (is_known or wants_untried):
             continue
         parts = []
         for key in keys:

@@ -1,4 +1,4 @@
-"""What is told of tasks: how each is, and how switches between actions went."""
+"""Reports on tasks, and on the switches from one action to the next."""
 
 from __future__ import annotations
 
