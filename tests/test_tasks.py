@@ -138,13 +138,22 @@ def test_a_task_that_cannot_start_is_a_failure(robot: FakeRunning) -> None:
     assert leaf.feedback_message == "there is no task 'fetch'"
 
 
-def test_a_manager_that_is_gone_is_a_failure(robot: FakeRunning) -> None:
+def test_a_leaf_waits_for_the_next_manager_but_not_for_ever(
+    robot: FakeRunning, monkeypatch: pytest.MonkeyPatch
+) -> None:
     leaf = act(robot, "fetch")
     leaf.tick_once()
     robot.fake.trouble = RunError("no answer")
     leaf.tick_once()
+    assert leaf.status is Status.RUNNING
+    assert leaf.feedback_message == "going when last heard of: no answer"
+    robot.fake.trouble = None
+    leaf.tick_once()
+    assert (leaf.status, leaf.feedback_message) == (Status.RUNNING, "going")
+    monkeypatch.setattr("poise.tasks.PATIENCE", 0.0)
+    robot.fake.trouble = RunError("no answer")
+    leaf.tick_once()
     assert leaf.status is Status.FAILURE
-    assert leaf.feedback_message == "no answer"
 
 
 def test_a_task_that_others_started_again_is_not_its_own(robot: FakeRunning) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from poise.errors import PoiseError, UsageError
+import time
+
+from poise.errors import PoiseError, RunError, UsageError
 from poise.manage.tasks.task_reports import TaskReport
 from poise.session.running_robots.running import Running, connect
 
@@ -16,14 +18,18 @@ except ImportError as error:
 
 __all__ = ["Act"]
 
+PATIENCE = 10.0
+"""A leaf fails when no manager has told how its task is for this time [s]."""
+
 
 class Act(Behaviour):
     """A leaf that does a task of a robot, which another process keeps up.
 
     It starts the task at its first tick, and is running until that is over: a success
-    when the task is done, a failure when it is given up, cancelled by others, or cannot
-    be started; `feedback_message` says why. A tree that turns to another branch
-    meanwhile cancels the task. Every tick asks the robot's manager once.
+    when the task is done, a failure when it is given up, cancelled by others, cannot be
+    started, or no manager has told of it for 10 s; `feedback_message` says why. A
+    tree that turns to another branch meanwhile cancels the task. Every tick asks the
+    robot's manager once.
 
     `task`: its name in the robot file.
     `robot`: the robot, or its name; None: the only one that runs on this computer.
@@ -44,6 +50,7 @@ class Act(Behaviour):
         self._robot = robot
         self._priority = priority
         self._report: TaskReport | None = None
+        self._told = 0.0
 
     def setup(self, **_: object) -> None:
         """Connect with the robot; raise `UsageError` when it does not run."""
@@ -56,6 +63,7 @@ class Act(Behaviour):
         try:
             self.setup()
             self._report = self._running.tasks.start(self._task, self._priority)
+            self._told = time.monotonic()
         except PoiseError as error:
             self.feedback_message = str(error)
 
@@ -65,6 +73,11 @@ class Act(Behaviour):
             return Status.FAILURE
         try:
             self._report = self._now(self._report)
+            self._told = time.monotonic()
+        except RunError as error:  # the robot goes on, and may get the next manager
+            self.feedback_message = f"{self._report.state} when last heard of: {error}"
+            is_lost = time.monotonic() - self._told > PATIENCE
+            return Status.FAILURE if is_lost else Status.RUNNING
         except PoiseError as error:
             self.feedback_message = str(error)
             return Status.FAILURE
