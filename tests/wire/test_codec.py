@@ -110,6 +110,22 @@ def test_what_no_wire_carries_is_refused_where_it_is_sent(
         codec(Anything).encode(Anything(value))
 
 
+class Waypoint:
+    pass
+
+
+class Route(Message):
+    stops: list[Waypoint]
+
+
+@pytest.mark.parametrize("type_", [Waypoint, Route, tuple[Route, int]])
+def test_a_type_that_no_wire_carries_is_refused_before_anything_is_sent(
+    type_: Any,
+) -> None:
+    with pytest.raises(WireError, match="type Waypoint cannot cross a connector"):
+        codec(type_)
+
+
 def test_a_value_without_bottom_is_refused() -> None:
     endless: list[Any] = []
     endless.append(endless)

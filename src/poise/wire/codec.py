@@ -71,12 +71,21 @@ class Codec(Generic[T]):
     def __init__(self, type_: Any, name: str = "") -> None:  # noqa: ANN401, any type
         self.type = type_
         self.name = name or f"{getattr(type_, '__qualname__', type_)}"
-        self._has_arrays = _has_arrays(type_)
+        self._has_arrays = self._find_arrays()
         hook = _encode_array if self._has_arrays else _plain
         self._encode = msgspec.msgpack.Encoder(enc_hook=hook).encode
         self._decode = msgpack_decoder(
             type_, ext_hook=_decode_array, dec_hook=_check
         ).decode
+
+    def _find_arrays(self) -> bool:
+        """Return whether values may hold arrays; raise when none could be encoded."""
+        parts = [*_parts(msgspec.inspect.type_info(self.type), set())]
+        held = {p.cls for p in parts if isinstance(p, msgspec.inspect.CustomType)}
+        for type_ in held - {object}:
+            if not issubclass(type_, _numpy().ndarray):
+                raise WireError(f"{self.name}: {_cannot_cross(type_)}")
+        return bool(held) or any(isinstance(p, msgspec.inspect.AnyType) for p in parts)
 
     def encode(self, value: T) -> tuple[bytes, list[memoryview]]:
         """Return the body and the buffers of `value`."""
@@ -186,10 +195,14 @@ def _plain(value: Any) -> Any:  # noqa: ANN401, msgspec's hook
     """Return a number of NumPy's as a plain one; refuse all else."""
     if type(value).__module__ == "numpy" and not getattr(value, "shape", "none"):
         return value.item()
-    raise WireError(
-        f"a value of type {type(value).__qualname__} "
-        "cannot cross a connector; use a Message, "
-        "plain data or a NumPy array, where the type of the port or state says so"
+    raise WireError(_cannot_cross(type(value)))
+
+
+def _cannot_cross(type_: type) -> str:
+    return (
+        f"a value of type {type_.__qualname__} cannot cross a connector; use a "
+        "Message, plain data or a NumPy array, where the type of the port or state "
+        "says so"
     )
 
 
@@ -283,13 +296,6 @@ def _declared(type_: Any) -> tuple[type, ...]:  # noqa: ANN401, any type
 
     held = [wanted for part in get_args(type_) for wanted in get_args(part)]
     return tuple(w for w in held if isinstance(w, type) and issubclass(w, np.generic))
-
-
-def _has_arrays(type_: Any) -> bool:  # noqa: ANN401, any type
-    return any(
-        isinstance(part, msgspec.inspect.CustomType | msgspec.inspect.AnyType)
-        for part in _parts(msgspec.inspect.type_info(type_), set())
-    )
 
 
 def _parts(info: Any, seen: set[int]) -> Iterable[Any]:  # noqa: ANN401, msgspec.inspect
