@@ -148,3 +148,9 @@ def test_says_what_a_bag_lacks(folder: Path) -> None:
         says = f"has std_msgs/msg/Int32 on '/scan', and scanner.scan takes {wanted}"
         with pytest.raises(UsageError, match=says):
             simulate(robot(folder, type_=type_), recording=folder / "other")
+    write_bag(folder / "empty", 0)
+    with pytest.raises(UsageError, match=r"no message on '/scan', which scanner\.scan"):
+        simulate(robot(folder), recording=folder / "empty")
+    (folder / "robot.yaml").write_text(NODES.replace("drive}", "empty}"))
+    with pytest.raises(UsageError, match="empty has nothing that comes into the rob"):
+        rig_of(load(folder / "robot.yaml"), "seeing", "left", apart=False)

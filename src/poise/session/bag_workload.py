@@ -73,12 +73,15 @@ def _topics(robot: Robot, bag: Bag) -> dict[str, list[str]]:
             lacking.append(f"no topic '{topic}', which {bridge.port} takes")
         elif found and not found.endswith(wanted := _type_of(robot, bridge)):
             lacking.append(f"{found} on '{topic}', and {bridge.port} takes {wanted}")
+        elif topic in bag.silent:
+            lacking.append(f"no message on '{topic}', which {bridge.port} takes")
     inner = {topic_name(c.topic) for a in robot.architectures for c in a.connectors}
     topics = {t: c for t, c in topics.items() if t in bag.types and t not in inner}
-    if lacking or not topics:
+    if lacking or bag.silent.issuperset(topics):
         what = "; ".join(lacking) or "nothing that comes into the robot"
+        has = listed(sorted(bag.types.keys() - bag.silent))
         raise UsageError(
-            f"bag {bag.path} has {what}. It has {listed(sorted(bag.types))}. Record it "
+            f"bag {bag.path} has {what}. It has {has}. Record it "
             "(`ros2 bag record`), or let `workload` generate messages for the port"
         )
     return topics

@@ -12,7 +12,7 @@ from pathlib import Path
 import msgspec
 from msgspec import Struct
 
-from poise.errors import PoiseError
+from poise.errors import PoiseError, UsageError
 from poise.manage.observe.sample_recording import RecordingFile
 from poise.model.robot import ConnectorEnd, Robot
 from poise.runtime.component.implementation import find, search_also
@@ -76,6 +76,16 @@ def _type(robot: Robot, end: ConnectorEnd, kinds: tuple[str, ...]) -> str:
     return f"{port.type.__module__}:{port.type.__qualname__}"
 
 
+def new_recording(path: Path, robot: str) -> RecordingFile:
+    """Return what records; the recording before may be of what broke."""
+    try:
+        if path.is_file():
+            path.replace(path.with_stem(f"{path.stem}-before"))
+    except OSError as error:
+        raise UsageError(f"{path} cannot be renamed: {error.strerror}") from error
+    return RecordingFile(path, robot)
+
+
 @contextlib.contextmanager
 def keeping(
     robot: Robot,
@@ -94,7 +104,7 @@ def keeping(
     inputs = inputs_folder(path)
     shutil.rmtree(inputs, ignore_errors=True)
     tap = tapped(robot, placed, inputs)
-    recorder = RecordingFile(path, robot.name)
+    recorder = new_recording(path, robot.name)
     try:
         yield tap.robot, recorder
     finally:

@@ -312,7 +312,8 @@ def test_policies(
     check_robot(robot)
     check_path("recording", recording)
     check_recorded(Path(recording), robot.name)
-    policies = Policies(policies_of(robot.policies), robot.folder)
+    names = (component.name for component in robot.components())
+    policies = Policies(policies_of(robot.policies), robot.folder, names)
     found: list[PolicyEvent] = []
     began: float | None = None
     troubles: set[str] = set()

@@ -164,6 +164,7 @@ def record(  # noqa: PLR0913 - each is a choice of the user
     path: Path | str,
     connectors: Iterable[str] = (),
     *,
+    every: bool = False,
     robot: str | None = None,
     seconds: float = inf,
     rate: float = 400.0,
@@ -181,6 +182,9 @@ def record(  # noqa: PLR0913 - each is a choice of the user
         The file; nothing may be there.
     connectors
         Whose messages and calls are recorded: names, or ``component.port`` of an end.
+    every
+        Whether those of all others are recorded, too, also of such as begin later, but
+        for what ROS 2 alone connects.
     robot
         Its name; None: the only one that runs here.
     seconds
@@ -210,7 +214,7 @@ def record(  # noqa: PLR0913 - each is a choice of the user
         check_type(what, value, Real, "a number")
     name = connect(robot).status().robot
     extra("foxglove_schemas_protobuf")  # before there is a file
-    recorder = Recorder(name, connectors, rate)
+    recorder = Recorder(name, connectors, rate, every=every)
     interrupted, file = False, McapFile(Path(path), name)
     try:
         with file:
@@ -239,13 +243,16 @@ class Recorder:
     has no room for is counted in `missing`.
     """
 
-    def __init__(self, robot: str, connectors: Iterable[str], rate: float) -> None:
+    def __init__(
+        self, robot: str, connectors: Iterable[str], rate: float, *, every: bool
+    ) -> None:
         self.missing: Counter[str] = Counter()
         """Connector -> messages that went out and are not in the file."""
         self.robot = robot
         self._live = LiveReader(robot)
         self._reader = Reader()
         self._rate = rate
+        self._every = every
         self._time = steady_wall_time()
         self._viewer = secrets.token_hex(8)
         self._latest: dict[str, tuple[int, int]] = {}
@@ -257,6 +264,7 @@ class Recorder:
         self._first = [self._read_messages(connector) for connector in connectors]
         for reading in self._first:
             self._connectors[reading.connector] = ""
+        self._left_to_ros2: set[str] = set()
 
     def record(
         self,
@@ -297,9 +305,25 @@ class Recorder:
             self._silent_since = None
             say(f"robot '{self.robot}' answers again")
         assert seen.status is not None  # noqa: S101, without trouble there is one
+        if self._every:
+            self._add_connectors(seen.status, say)
         self._write_rows(file, seen.status, now)
         self._write_entries(file, seen.status.manager.key, seen.entries)
         file.flush()
+
+    def _add_connectors(self, status: Status, say: Say) -> None:
+        """Record all connectors that there are by now, and say which cannot be."""
+        for agent in status.computers.values():
+            for container in agent.containers:
+                for end in container.connectors:
+                    self._connectors.setdefault(end.name, "")
+        for name in status.by_ros2:
+            if name not in self._left_to_ros2:
+                self._left_to_ros2.add(name)
+                say(
+                    f"'{name}' is not recorded: it is made by ROS 2 alone; `ros2 bag "
+                    "record` records topics"
+                )
 
     def _write_rows(self, file: McapFile, status: Status, now: float) -> None:
         view, at = self._reader.update(status, now), self._time()

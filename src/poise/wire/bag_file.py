@@ -28,6 +28,7 @@ class Bag:
     """A bag of ROS 2; UsageError: it cannot be read.
 
     `types`: topic -> ``package/msg/Name``.
+    `silent`: those of them of which it has no message.
     `seconds`: from the first message to the last.
     """
 
@@ -35,6 +36,8 @@ class Bag:
         self.path = path
         with self._reader() as reader:
             self.types = {c.topic: str(c.msgtype) for c in reader.connections}
+            heard = {c.topic for c in reader.connections if c.msgcount}
+            self.silent = self.types.keys() - heard
             self.seconds = reader.duration / 1e9
 
     def messages(self, topics: Collection[str]) -> Iterator[BagMessage]:
@@ -57,11 +60,19 @@ class Bag:
             raise UsageError(
                 f"bag {self.path}: reading it needs rosbags: pip install 'poise[ros2]'"
             ) from error
+        if self.path.is_dir() and not (self.path / "metadata.yaml").exists():
+            raise UsageError(
+                f"folder {self.path} is no bag: it has no metadata.yaml. If its "
+                f"recorder was killed, `ros2 bag reindex {self.path}` writes it"
+            )
         try:
             with rosbag2.Reader(self.path) as reader:
                 yield reader
-        except (rosbag2.ReaderError, OSError) as error:
-            raise UsageError(f"bag {self.path} cannot be read: {error}") from error
+        except Exception as error:  # the library raises what its libraries raise
+            is_known = isinstance(error, rosbag2.ReaderError | OSError)
+            what = "cannot be read" if is_known else "is damaged"
+            why = " ".join(str(error).split())  # some have several lines
+            raise UsageError(f"bag {self.path} {what}: {why}") from error
 
 
 def is_bag(path: Path) -> bool:

@@ -317,14 +317,17 @@ def _records(path: Path) -> Iterator[McapRecord]:
                 is_recording = True
                 yield record
     except OSError as error:
-        raise UsageError(f"recording {path} cannot be read: {error}") from error
+        why = error.strerror or error
+        raise UsageError(f"recording {path} cannot be read: {why}") from error
     except errors.McapError as error:
         if not is_recording:
             raise UsageError(
                 f"{path} is not a recording: it is not an MCAP file"
             ) from error
         log.warning(
-            "the recording %s was not closed: up to its last second is missing", path
+            "the recording %s was not closed: its end is missing (of a robot that was "
+            "killed, up to a second)",
+            path,
         )
     except Exception as error:  # the library says what its libraries raise
         raise UsageError(f"{path} is damaged: {error!r}") from error

@@ -1,0 +1,76 @@
+"""Which connectors `poise record --all` records."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+import poise.view.robot_recording as module
+from poise.session.running_robots.running import Status
+from poise.view.robot_recording import Recorder
+from poise.view.robot_view import LiveReading
+from poise.wire.codec import pack
+from poise.wire.recording_file import McapFile
+from poise.wire.records.request_records import ManagerId, Passed, TapReading
+from poise.wire.records.status_records import (
+    AgentStatus,
+    ConnectorStatus,
+    ContainerStatus,
+)
+
+pytest.importorskip("mcap", reason="mcap is not installed")
+
+
+class Live:
+    """A robot whose second action begins another connector."""
+
+    def __init__(self, robot: str) -> None:
+        self.running = self
+        self.robot = robot
+        self.polls = 0
+
+    def poll(self) -> LiveReading:
+        self.polls += 1
+        names = ("eye.seen-mind.seen", "mind.goal-leg.goal")[: self.polls]
+        ends = tuple(
+            ConnectorStatus(name=n, kind="direct", end="both", ready=True)
+            for n in names
+        )
+        container = ContainerStatus(name="c", pid=1, connectors=ends)
+        left = AgentStatus(
+            computer="left", generation=1, uptime=1.0, cpu=0.0, containers=(container,)
+        )
+        status = Status(
+            robot=self.robot,
+            task="",
+            manager=ManagerId(key="k", user="u", host="h", pid=1, since=0.0),
+            placement={},
+            computers={"left": left},
+            by_ros2=("talker-listener /count",),
+        )
+        return LiveReading(status=status)
+
+    def look_at(self, connector: str, *_: Any, **__: Any) -> TapReading:
+        passed = Passed(at=1.0, value=pack(7), is_whole=True)
+        return TapReading(
+            number=1, connector=connector, carries="int", times=(1.0,), passed=(passed,)
+        )
+
+
+def test_all_are_recorded_also_those_that_begin_later_but_for_those_of_ros2(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    clock = SimpleNamespace(monotonic=iter(range(9)).__next__, sleep=lambda _: None)
+    monkeypatch.setattr(module, "LiveReader", Live)
+    monkeypatch.setattr(module, "time", clock)
+    said: list[str] = []
+    recorder = Recorder("r", (), 400.0, every=True)
+    with McapFile(tmp_path / "a.mcap", "r") as file:
+        recorder.record(file, 6.0, lambda: None, said.append, lambda _: None)
+    assert file.counts["/messages/eye/seen-mind/seen"] == 3
+    assert file.counts["/messages/mind/goal-leg/goal"] == 2
+    (sentence,) = said
+    assert "'talker-listener /count' is not recorded: it is made by ROS 2" in sentence
