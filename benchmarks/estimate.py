@@ -152,7 +152,7 @@ def on_bench(robot: Robot) -> dict[str, str]:
 
 def cpu_errors(robot: Robot, ran: Ran) -> dict[str, float]:
     """Return component -> measured mean less the truth [cores]."""
-    measured = measure(ran.samples).cpu
+    measured = measure(ran.samples, robot).cpu
     return {n: measured[n].mean - truth for n, truth in robots.truths(robot).items()}
 
 

@@ -216,7 +216,7 @@ def compare(name: str, seconds: float) -> list[Compared]:
     profile = read_profile(robot)
     if profile is None:
         say(f"{name}: profiled")
-        profile = poise.profile(robot, seconds=10.0).profile
+        profile = poise.profile(robot, seconds=min(10.0, seconds)).profile
         robot = with_profile(robot, profile)
     task = robot.tasks[0].name
     placed = poise.place(robot, task, method=METHODS[name])

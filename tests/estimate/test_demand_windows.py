@@ -5,8 +5,8 @@ import pytest
 from poise.estimate.online import Reading, Sums, Window, demand_in, window_between
 
 
-def window(cpu: float, asked: int, done: int) -> Window:
-    return Window(0.5, cpu, asked, done)
+def window(cpu: float, asked: int, done: int, *, had_cpu_left: bool = False) -> Window:
+    return Window(0.5, cpu, asked, done, had_cpu_left=had_cpu_left)
 
 
 def test_who_keeps_up_needs_what_it_used() -> None:
@@ -22,6 +22,21 @@ def test_who_does_not_keep_up_needs_jobs_a_second_times_what_one_costs() -> None
     assert found.cores == pytest.approx(1.0)
     # one of four windows may belong to another job, one of 50 jobs came or not
     assert found.error == pytest.approx(1 / 4 + 1 / 50)
+
+
+@pytest.mark.parametrize(("full", "cores", "undone"), [(1, 0.1, 0.0), (2, 1.0, 0.9)])
+def test_who_does_not_keep_up_where_cpu_was_to_be_had_needs_what_it_used(
+    full: int, cores: float, undone: float
+) -> None:
+    """It waits for something else; the computer was full for 1 or 2 windows of 10."""
+    windows = [window(0.05, 10, 1, had_cpu_left=k >= full) for k in range(10)]
+    assert demand_in(windows).cores == pytest.approx(cores)
+    assert Sums(windows).undone == pytest.approx(undone)
+
+
+def test_who_works_off_what_waited_needs_less_also_where_there_is_room() -> None:
+    found = demand_in([window(0.2, 5, 10, had_cpu_left=True)] * 4)
+    assert found.cores == pytest.approx(0.2)
 
 
 def test_a_job_that_is_still_under_way_costs_the_others_nothing() -> None:
@@ -88,6 +103,14 @@ def test_who_wanted_to_run_all_the_time_and_could_not_is_cut() -> None:
     cut = window_between(before, Reading(0.2, 0.1, 0.1))
     assert cut is not None
     assert cut.is_cut
+
+
+@pytest.mark.parametrize("speed", [0.5, 1.0])
+def test_who_wanted_all_of_a_slow_core_is_cut(speed: float) -> None:
+    """Its 0.2 s are 0.1 s of the reference computer."""
+    window = window_between(Reading(0.0, 0.0), Reading(0.2, 0.05, 0.05, speed=speed))
+    assert window is not None
+    assert window.is_cut is (speed == 0.5)
 
 
 def test_who_ran_all_the_time_or_waited_a_little_is_not_cut() -> None:

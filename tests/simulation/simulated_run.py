@@ -36,7 +36,7 @@ from poise.wire.records.request_records import Claim, Election, ManagerId
 from tests.simulation.aimed_faults import AimedFaults
 from tests.simulation.clients import Clients
 from tests.simulation.served_tasks import unserved
-from tests.simulation.status_watch import StatusWatch
+from tests.simulation.status_watch import StatusWatch, ask_status
 
 INVARIANTS: Mapping[str, str] = {
     "nothing-active-twice": "No two incarnations of a component work at one time.",
@@ -341,7 +341,7 @@ class _Run:
                 return
             if self.robot.agents.get(fault.target) not in {agent, None}:
                 return  # the end of another fault has started it again
-            manager.ask_status(judge)
+            ask_status(manager, judge)
 
         def judge(status: RobotStatus) -> None:
             said = [deviation.what for deviation in status.deviations]
@@ -466,7 +466,7 @@ def _told(
     if robot.manager is None:
         return []
     told: list[RobotStatus] = []
-    robot.manager.ask_status(told.append)
+    ask_status(robot.manager, told.append)
     robot.run(robot.scheduler.now + _ANSWERED)
     return judge(told[0]) if told else ["the manager does not say how it is"]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 
 from poise.manage.agent_connections.statuses import connectors_of
@@ -17,6 +17,18 @@ _WITHIN = 1.2
 """What does not work is told within this time [s]: a second, and two looks."""
 _JOINED = 3.5
 """Likewise that a connector is not joined, which may take two seconds."""
+
+
+def ask_status(
+    manager: SimulatedManager, on_result: Callable[[RobotStatus], object]
+) -> None:
+    """Let a client ask for the status; nobody answers while it is not up."""
+
+    def answer() -> None:
+        if manager.manager is not None:
+            on_result(manager.manager.status())
+
+    manager.process.spawn("client status", answer)
 
 
 class StatusWatch:
@@ -35,7 +47,7 @@ class StatusWatch:
         if manager is not self._asked:
             self._asked, self._since = manager, {}
         if manager is not None and not manager.process.is_dead:
-            manager.ask_status(partial(self._judge, manager))
+            ask_status(manager, partial(self._judge, manager))
 
     def _judge(self, manager: SimulatedManager, status: RobotStatus) -> None:
         now = self._scheduler.now

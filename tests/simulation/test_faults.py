@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from poise.simulation.choices import Choices
-from poise.simulation.faults import KINDS, plan_faults
+from poise.simulation.faults import KINDS, SimulatedFault, plan_faults
 
 
 def kinds(seed: int) -> set[str]:
@@ -33,3 +33,8 @@ def test_a_link_has_two_ends() -> None:
             assert bool(fault.other) == (
                 fault.kind in {"cut link", "cut one way", "clog link"}
             )
+
+
+def test_what_loses_datagrams_everywhere_names_no_computer() -> None:
+    fault = SimulatedFault(at=1.0, kind="lose datagrams", target="a", lasts=2.0)
+    assert str(fault) == "1.00 s: lose datagrams everywhere for 2.00 s"

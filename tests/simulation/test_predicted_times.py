@@ -103,6 +103,87 @@ def test_what_is_passed_on_at_once_is_as_old_as_the_work_takes(robot: Robot) -> 
     assert chain.margin == pytest.approx(0.1 - chain.p99)
 
 
+def test_what_waits_for_something_else_than_cpu_gets_older(robot: Robot) -> None:
+    """It leaves the computer to a hog meanwhile, which takes half of its own CPU."""
+    waits = replace(_sending(0.01, MIND_ARM), waiting=1.0, wait=0.03)
+    models = {**PASSED_ON, "mind": ComponentModel(timers=(), takes={EYE_MIND: waits})}
+    assert predicted(robot, models=models).median == pytest.approx(0.045, rel=0.05)
+    models["hog"] = ComponentModel(timers=(timer(0.01, 1.0),))
+    chain = predicted(robot, {**ALL_LEFT, "hog": "left"}, models)
+    assert chain.median == pytest.approx(0.03 + 2 * 0.015, rel=0.1)
+
+
+def test_waits_may_be_of_any_length(robot: Robot) -> None:
+    waits = replace(_sending(0.01, MIND_ARM), waiting=1.0, wait=0.01, wait_spread=0.5)
+    models = {**PASSED_ON, "mind": ComponentModel(timers=(), takes={EYE_MIND: waits})}
+    chain = predicted(robot, models=models)
+    assert chain.median == pytest.approx(0.025, rel=0.1)
+    # 10 ms x exp(0.5 x 2.33) = 32 ms, over 50 runs each
+    assert 0.035 < chain.p99 < 0.06
+
+
+def test_a_third_of_the_runs_waits(robot: Robot) -> None:
+    waits = replace(_sending(0.01, MIND_ARM), waiting=1 / 3, wait=0.06)
+    models = {**PASSED_ON, "mind": ComponentModel(timers=(), takes={EYE_MIND: waits})}
+    chain = predicted(robot, models=models)
+    assert chain.median == pytest.approx(0.015, rel=0.1)
+    assert chain.p99 == pytest.approx(0.075, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("how", "seconds"),
+    [("calls", 0.075), ("joined", 0.045), ("started", 0.015), ("answer", 0.035)],
+)
+def test_what_calls_two_waits_for_both_or_for_the_longest_or_for_none(
+    robot: Robot, how: str, seconds: float
+) -> None:
+    """Each answers after 30 ms; in a turn of its own the answer is sent on."""
+    asks = {"mind.one-one.look": 1.0, "mind.other-other.look": 1.0}
+    (architecture,) = robot.architectures
+    joins = [_connector(*ask.split("-")) for ask in asks]
+    more = replace(
+        architecture,
+        components=(
+            *architecture.components,
+            *(ComponentEntry(name=name, isolated=True) for name in ("one", "other")),
+        ),
+        connectors=(*architecture.connectors, *joins),
+    )
+    sends = {MIND_ARM: 0.5 if how == "answer" else 1.0}
+    mind = HandlerModel(work=0.01, publishes={} if how == "answer" else sends)
+    mind = replace(mind, **{"started" if how == "answer" else how: asks})
+    answer = HandlerModel(work=0.0, publishes=sends) if how == "answer" else None
+    looks = HandlerModel(work=1e-5, waiting=1.0, wait=0.03)
+    one, other = (ComponentModel(timers=(), serves={ask: looks}) for ask in asks)
+    mind_model = ComponentModel(timers=(), takes={EYE_MIND: mind}, answer=answer)
+    models = {**PASSED_ON, "mind": mind_model, "one": one, "other": other}
+    placement = {**ALL_LEFT, "one": "left", "other": "left"}
+    chain = predicted(replace(robot, architectures=(more,)), placement, models)
+    assert chain.median == pytest.approx(seconds, rel=0.05)
+
+
+def test_a_chain_ends_in_the_turn_of_an_answer(robot: Robot) -> None:
+    ask = "mind.one-one.look"
+    (architecture,) = robot.architectures
+    more = replace(
+        architecture,
+        components=(*architecture.components, ComponentEntry(name="one")),
+        connectors=(*architecture.connectors, _connector(*ask.split("-"))),
+    )
+    chain = Chain(name="look", through=("one", "mind"), deadline=0.1)
+    starts = HandlerModel(work=1e-5, started={ask: 1.0})
+    models = {
+        **PASSED_ON,
+        "mind": ComponentModel(
+            timers=(), takes={EYE_MIND: starts}, answer=HandlerModel(work=0.02)
+        ),
+        "one": ComponentModel(timers=(), serves={ask: HandlerModel(work=0.01)}),
+    }
+    looking = replace(robot, architectures=(more,), chains=(chain,))
+    found = predicted(looking, {**ALL_LEFT, "one": "left"}, models)
+    assert found.median == pytest.approx(0.02, rel=0.1)
+
+
 def test_a_timer_takes_what_came_within_a_period(robot: Robot) -> None:
     """So its age is spread over that period, if the timers' periods have no ratio."""
     sampling = ComponentModel(

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from msgspec import structs
@@ -18,6 +20,7 @@ from poise.model.hardware import Link
 from poise.model.robot import Action, Chain, Robot, Task
 from poise.simulation.faults import SimulatedFault
 from poise.simulation.rehearsal import Rehearsal, RehearsalPlan
+from poise.simulation.simulation_observer import SimulationObserver
 from poise.simulation.simulation_report import SimulationReport
 from tests.simulation.conftest import small_scenario
 
@@ -152,6 +155,28 @@ def test_a_function_whose_action_has_ended_did_not_stop() -> None:
     fault = SimulatedFault(10.0, "isolate computer", "b", lasts=2.0)
     lost = rehearsed(structs.replace(plan, faults=(fault,)))
     assert {outage.function for outage in lost.outages} == {"seeing", "thinking"}
+
+
+@pytest.mark.parametrize(
+    ("placed", "needed"),
+    [({"hand": "a"}, {"hand"}), ({"arm": "c"}, {"arm"}), ({}, {"arm", "hand"})],
+)
+def test_what_an_alternative_does_instead_is_not_missed(
+    placed: dict[str, str], needed: set[str]
+) -> None:
+    """An outage is over when an alternative provides the function."""
+    robot = small_scenario().robot
+    *others, act = robot.architectures
+    (arm,) = act.components
+    hand = structs.replace(arm, name="hand")
+    lesser = structs.replace(act, name="grasp", components=(hand,))
+    robot = structs.replace(robot, architectures=(*others, act, lesser))
+    tasks = SimpleNamespace(functions_of=lambda _: {"acting"}, records=())
+    manager = SimpleNamespace(tasks=SimpleNamespace(tasks=tasks))
+    observer = SimulationObserver.__new__(SimulationObserver)
+    fake: Any = SimpleNamespace(robot=robot, manager=SimpleNamespace(manager=manager))
+    observer._robot = fake
+    assert observer._needed(placed) == needed
 
 
 @pytest.mark.parametrize(("latency", "misses"), [(0.001, False), (0.08, True)])

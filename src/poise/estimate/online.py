@@ -3,9 +3,10 @@
 The estimate covers the last `SPAN` seconds, and restarts when the demand has changed.
 The CPU time of a starved component is not its demand, nor is that of one that works off
 a backlog: the demand is then arriving jobs x CPU time per job, and while one job runs
-on, what that uses. Such a job stands out when it has used several times the CPU of the
-costliest one before. Windows that give only a lower bound count only if they raise the
-estimate.
+on, what that uses. Where CPU was to be had, jobs are not done for another reason: the
+component waits for a device, or for an answer. A job that runs on stands out when it
+has used several times the CPU of the costliest one before. Windows that give only a
+lower bound count only if they raise the estimate.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ _SATURATED = 0.9
 """A component that is runnable for this share of a window may need more than it got."""
 _STARVED = 0.1
 """A component that waits for this share of its runnable time is starved."""
+CPU_LEFT = 0.9
+"""Where CPU was to be had in this share of the time, none lacked it."""
 _BEHIND = 0.02
 """Up to this share of the jobs may be under way without being a backlog."""
 
@@ -32,14 +35,17 @@ class Reading(Struct, frozen=True):
     """A component's counters since it was activated."""
 
     at: float  # when they were read [s], on the clock of its own computer
-    cpu: float  # CPU time used [s]
+    cpu: float  # CPU time used [s], as of the reference computer
     # time in which it was runnable and did not run, because other processes ran or its
-    # computer was throttled [s]
+    # computer was throttled [s], x the speed, as `cpu`
     wait: float = 0.0
     # asked, done: Jobs (releases of timers, messages, calls) that arrived, and that
     # ended
     asked: int = 0
     done: int = 0
+    speed: float = 1.0  # of its computer: CPU time that a second of a core gives
+    # whether its computer and its interpreter had CPU left since the reading before
+    had_cpu_left: bool = False
 
 
 class Window(Struct, frozen=True):
@@ -54,6 +60,7 @@ class Window(Struct, frozen=True):
     # whether it was runnable nearly all the time and waited often, so that its CPU time
     # is only a lower bound of its demand
     is_cut: bool = False
+    had_cpu_left: bool = False  # as `Reading.had_cpu_left`
 
 
 def window_between(before: Reading, after: Reading) -> Window | None:
@@ -74,7 +81,8 @@ def window_between(before: Reading, after: Reading) -> Window | None:
         cpu,
         asked,
         done,
-        wanted >= _SATURATED * seconds and wait >= _STARVED * wanted,
+        wanted >= _SATURATED * seconds * after.speed and wait >= _STARVED * wanted,
+        after.had_cpu_left,
     )
 
 
@@ -92,10 +100,10 @@ class Demand(Struct, frozen=True):
 class Sums:
     """Totals over windows."""
 
-    __slots__ = ("asked", "cpu", "done", "seconds")
+    __slots__ = ("asked", "cpu", "done", "seconds", "with_cpu_left")
 
     def __init__(self, windows: Iterable[Window] = ()) -> None:
-        self.seconds = self.cpu = 0.0
+        self.seconds = self.cpu = self.with_cpu_left = 0.0
         self.asked = self.done = 0
         for window in windows:
             self.add(window, 1)
@@ -103,14 +111,28 @@ class Sums:
     def add(self, window: Window, sign: Literal[-1, 1]) -> None:
         """Add a window, or remove it."""
         self.seconds += sign * window.seconds
+        self.with_cpu_left += sign * window.seconds * window.had_cpu_left
         self.cpu += sign * window.cpu
         self.asked += sign * window.asked
         self.done += sign * window.done
 
     @property
+    def off_step(self) -> int:
+        """How many more jobs arrived than ended, or the other way round.
+
+        Where CPU was left, at most one counts that did not end: none lacked CPU.
+        """
+        undone = self.asked - self.done
+        return min(undone, 1) if undone > 0 and self._had_cpu_left else abs(undone)
+
+    @property
+    def _had_cpu_left(self) -> bool:
+        return self.with_cpu_left >= CPU_LEFT * self.seconds
+
+    @property
     def is_in_step(self) -> bool:
-        """Whether about as many jobs ended as arrived."""
-        return abs(self.asked - self.done) <= 1 + _BEHIND * self.asked
+        """Whether about as many jobs ended as arrived, or none of them lacked CPU."""
+        return self.off_step <= 1 + _BEHIND * self.asked
 
     @property
     def undone(self) -> float:
@@ -125,7 +147,7 @@ def demand_in(windows: Sequence[Window], total: Sums | None = None) -> Demand:
     total = total or Sums(windows)
     used = total.cpu / total.seconds
     if total.is_in_step:
-        return Demand(used, used * abs(total.asked - total.done) / max(total.done, 1))
+        return Demand(used, used * total.off_step / max(total.done, 1))
     # Jobs under way at either end of the windows are left out: a starved component may
     # have more of them than ended jobs.
     ends = [at for at, window in enumerate(windows) if window.done]
@@ -220,8 +242,8 @@ class Estimate(Struct, frozen=True, kw_only=True):
         Half the width of the mean's 95 % confidence interval; None: too few windows, or
         too few jobs ended to know the CPU time of one.
     starved
-        The share of its jobs that were not done or, without jobs, of its last windows
-        that give only a lower bound; in [0, 1].
+        The share of its jobs that were not done for lack of CPU or, without jobs, of
+        its last windows that give only a lower bound; in [0, 1].
     is_least
         Whether it may need more than `mean`: it lacked CPU, and has no jobs to count.
     long_job

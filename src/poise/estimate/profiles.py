@@ -15,7 +15,7 @@ from typing import Self
 
 import msgspec
 import yaml
-from msgspec import Struct
+from msgspec import Struct, structs
 
 from poise.decoding import convert, from_json
 from poise.errors import RobotError, UsageError, why_too_old
@@ -136,6 +136,20 @@ def distribution_of(values: Sequence[float], window: float = WINDOW) -> Distribu
     )
 
 
+def scaled(distribution: Distribution, factor: float) -> Distribution:
+    """Return a distribution whose values are all `factor` times as large."""
+    error = distribution.error
+    return structs.replace(
+        distribution,
+        mean=distribution.mean * factor,
+        p95=distribution.p95 * factor,
+        p99=distribution.p99 * factor,
+        peak=distribution.peak * factor,
+        sustained=distribution.sustained * factor,
+        error=None if error is None else error * factor,
+    )
+
+
 def rolling_means(values: Sequence[float], size: int) -> list[float]:
     """Return the mean of every `size` values that follow each other.
 
@@ -151,21 +165,47 @@ def rolling_means(values: Sequence[float], size: int) -> list[float]:
 
 
 class TimerProfile(Struct, frozen=True, kw_only=True):
-    """A timer's execution time [s], and the share of releases that were missed."""
+    """A timer's execution time [s], and the share of its deadlines that it missed.
+
+    `missed`: None: it has no deadline.
+    """
 
     period: float
     median: float
     p99: float
     maximum: float
-    missed: float = 0.0
+    missed: float | None = None
+
+
+_RARELY = 0.005
+"""If a smaller share of its runs waits, a handler does not wait."""
 
 
 class HandlerProfile(Struct, frozen=True, kw_only=True):
-    """CPU time of the runs of a timer, or for the messages of a port [s]."""
+    """What the runs of a timer take, those for the messages of a port, or calls [s].
+
+    Parameters
+    ----------
+    mean, median, p99
+        Their CPU time, without that of what they call.
+    waiting
+        The share of them that waits for something else than CPU and calls, such as a
+        device; None: it was not measured.
+    wait, wait_p99
+        For how long these do: the median, and the 99th percentile.
+    """
 
     mean: float
     median: float
     p99: float
+    waiting: float | None = None
+    wait: float = 0.0
+    wait_p99: float = 0.0
+
+    @property
+    def waits(self) -> bool:
+        """Whether enough of them wait to count."""
+        return (self.waiting or 0.0) >= _RARELY
 
 
 class ComponentProfile(Struct, frozen=True, kw_only=True):
@@ -178,8 +218,8 @@ class ComponentProfile(Struct, frozen=True, kw_only=True):
     cpu
         Its own CPU [cores].
     share
-        Its equal part of the container's own CPU: transports, status, the interpreter's
-        threads [cores].
+        Its part of the container's own CPU: threads and processes that it started,
+        transports, status, the interpreter's threads [cores].
     memory
         Peak of the memory that it adds to a container [bytes].
     base
@@ -220,6 +260,8 @@ class ConnectorProfile(Struct, frozen=True, kw_only=True):
         Mean size of a call, both ways, or of a message, when encoded [bytes].
     median, p99, largest
         Of these sizes; 0 where they were not counted [bytes].
+    answering
+        What a call takes where it ends; None: it was not measured.
     """
 
     calls: float = 0.0
@@ -228,6 +270,7 @@ class ConnectorProfile(Struct, frozen=True, kw_only=True):
     median: float = 0.0
     p99: float = 0.0
     largest: float = 0.0
+    answering: HandlerProfile | None = None
 
     @property
     def rate(self) -> float:
@@ -305,6 +348,45 @@ class Profile(Struct, frozen=True, kw_only=True):
     components: Mapping[str, ComponentProfile] = {}
     connectors: Mapping[str, ConnectorProfile] = {}
     costs: Mapping[str, KindCosts] = {}
+
+
+def with_speed(profile: Profile, speed: float) -> Profile:
+    """Return the profile of a real computer as it would be if that had this speed."""
+    factor = speed / profile.speed
+    components = {n: _faster(c, factor) for n, c in profile.components.items()}
+    connectors = {
+        name: structs.replace(
+            each, answering=each.answering and _quicker(each.answering, factor)
+        )
+        for name, each in profile.connectors.items()
+    }
+    return structs.replace(
+        profile,
+        speed=speed,
+        agent=profile.agent * factor,
+        components=components,
+        connectors=connectors,
+    )
+
+
+def _faster(component: ComponentProfile, factor: float) -> ComponentProfile:
+    handlers = {n: _quicker(h, factor) for n, h in component.handlers.items()}
+    return structs.replace(
+        component,
+        cpu=scaled(component.cpu, factor),
+        share=component.share * factor,
+        handlers=handlers,
+        repeat=component.repeat * factor,
+    )
+
+
+def _quicker(handler: HandlerProfile, factor: float) -> HandlerProfile:
+    return structs.replace(
+        handler,
+        mean=handler.mean * factor,
+        median=handler.median * factor,
+        p99=handler.p99 * factor,
+    )
 
 
 _HEAD = """\

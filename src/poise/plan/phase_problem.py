@@ -144,14 +144,8 @@ def _in_one_unit(
     )
 
 
-def task_problem_of(robot: Robot, task: str, move: float = MOVE) -> TaskProblem:
+def task_problem_of(robot: Robot, task: str) -> TaskProblem:
     """Return the problems of the phases of a task.
-
-    Parameters
-    ----------
-    move
-        What it costs that a component moves between two phases, and as much again for
-        each MB of its state [core-seconds].
 
     Raises
     ------
@@ -172,7 +166,7 @@ def task_problem_of(robot: Robot, task: str, move: float = MOVE) -> TaskProblem:
             for phase in phases_of(robot, task)
         ),
         move={
-            c.name: move * (1 + c.state / MEGABYTE) if c.movable else NEVER
+            c.name: MOVE * (1 + c.state / MEGABYTE) if c.movable else NEVER
             for c in robot.components()
         },
         assumed=tuple(assumed(robot, task)),

@@ -191,6 +191,12 @@ class Engine:
         spread: float = 0.0,
         publishes: Sequence[tuple[str, float]] | None = (),
         calls: Sequence[tuple[str, float]] = (),
+        *,
+        waiting: float = 0.0,
+        wait: float = 0.0,
+        wait_spread: float = 0.0,
+        joined: Sequence[tuple[str, float]] = (),
+        started: Sequence[tuple[str, float]] = (),
     ) -> Handler: ...
     def model(
         self,
@@ -202,6 +208,7 @@ class Engine:
         keep: Mapping[str, int],
         keep_other: int,
         release_offset: float = 0.0,
+        answer: Handler | None = None,
     ) -> Model: ...
     def connector(
         self,

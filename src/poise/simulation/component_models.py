@@ -22,21 +22,41 @@ class HandlerModel(Struct, frozen=True, kw_only=True):
     `work`: mean [core-seconds of the reference].
     `spread`: standard deviation of its logarithm: it is drawn log-normally. 0: it is
     always the same.
+    `waiting`: the share of runs that wait for something else than CPU and calls, such
+    as a device; `wait`: for how long, the median [s]. `wait_spread`: as `spread`, of
+    that.
     `publishes`: slot of a connector -> messages for each run, on average; None: one
     over each.
-    `calls`: slot of a connector -> calls in each run, on average.
+    `calls`: slot of a connector -> calls in each run, on average: one after another.
+    `joined`, `started`: as `calls`, of those that it starts at once: it waits for all,
+    or goes on.
     """
 
     work: float
     spread: float = 0.0
+    waiting: float = 0.0
+    wait: float = 0.0
+    wait_spread: float = 0.0
     publishes: Mapping[str, float] | None = {}
     calls: Mapping[str, float] = {}
+    joined: Mapping[str, float] = {}
+    started: Mapping[str, float] = {}
 
     def made_in(self, engine: Engine) -> Handler:
         """Return it as the engine has it."""
         publishes, calls = self.publishes, list(self.calls.items())
         sent = None if publishes is None else list(publishes.items())
-        return engine.handler(self.work, self.spread, sent, calls)
+        return engine.handler(
+            self.work,
+            self.spread,
+            sent,
+            calls,
+            waiting=self.waiting,
+            wait=self.wait,
+            wait_spread=self.wait_spread,
+            joined=list(self.joined.items()),
+            started=list(self.started.items()),
+        )
 
 
 class TimerModel(Struct, frozen=True, kw_only=True):
@@ -58,6 +78,7 @@ class ComponentModel(Struct, frozen=True, kw_only=True):
 
     `takes`, `serves`: slot of a connector -> what a message or a call that comes over
     it costs; the others cost what `other` says.
+    `answer`: what the answer of a started call costs; None: nothing takes it.
     `factors`: how much dearer handlers are in each second than on average, again and
     again; empty: always the same.
     `keep`: slot -> how many messages wait at most, the oldest of them make room; the
@@ -76,6 +97,7 @@ class ComponentModel(Struct, frozen=True, kw_only=True):
     takes: Mapping[str, HandlerModel] = {}
     serves: Mapping[str, HandlerModel] = {}
     other: HandlerModel = _TAKE
+    answer: HandlerModel | None = None
     factors: tuple[float, ...] = ()
     keep: Mapping[str, int] = {}
     start: tuple[float, float] = (0.02, 0.2)
@@ -110,6 +132,7 @@ class ComponentModel(Struct, frozen=True, kw_only=True):
             keep=self.keep,
             keep_other=MOST_KEPT,
             release_offset=offset,
+            answer=self.answer.made_in(engine) if self.answer else None,
         )
 
 

@@ -42,6 +42,8 @@ SimulatedFaultKind = Literal[
 KINDS: tuple[SimulatedFaultKind, ...] = SimulatedFaultKind.__args__  # type: ignore[attr-defined]
 LINK_KINDS: tuple[SimulatedFaultKind, ...] = ("cut link", "cut one way", "clog link")
 """Those that happen between two computers."""
+ANYWHERE: tuple[SimulatedFaultKind, ...] = ("lose datagrams",)
+"""These are about no computer of their own."""
 _ALLOWED = 0.4
 """Each kind is allowed in this share of runs."""
 _MEAN_PAUSE = 4.0
@@ -70,6 +72,7 @@ class SimulatedFault(Struct, frozen=True):
 
     def __str__(self) -> str:
         where = f"{self.target}-{self.other}" if self.other else self.target
+        where = "everywhere" if self.kind in ANYWHERE else where
         return f"{self.at:.2f} s: {self.kind} {where} for {self.lasts:.2f} s"
 
 

@@ -204,24 +204,31 @@ class SimulationObserver:
                 since = self._down.get(name, self._robot.scheduler.now)
                 self._restarting[name] = since - self._begin, before
         self._placed.update(placed)
-        for name in self._placed.keys() - placed.keys() - self._needed():
+        for name in self._placed.keys() - placed.keys() - self._needed(placed):
             del self._placed[name]
             self._down.pop(name, None)
             self._restarting.pop(name, None)
 
-    def _needed(self) -> set[str]:
+    def _needed(self, placed: Mapping[str, str]) -> set[str]:
         """Return the components of what a task that is not over uses now.
 
-        And those of layers that never stop.
+        And those of layers that never stop; but not of an architecture in whose place
+        an alternative runs.
         """
         robot, manager = self._robot.robot, self._robot.manager
         assert manager is not None  # noqa: S101, it has told what is placed
         assert manager.manager is not None  # noqa: S101, the same
         tasks = manager.manager.tasks.tasks
         used = tasks.functions_of(r for r in tasks.records if r.state not in OVER)
+        provided = {
+            architecture.function: architecture.name
+            for architecture in robot.architectures
+            if any(component.name in placed for component in architecture.components)
+        }
         return {
             component.name
             for architecture in robot.architectures
+            if provided.get(architecture.function) in {None, architecture.name}
             if architecture.layer != "sequencing" or architecture.function in used
             for component in architecture.components
         }

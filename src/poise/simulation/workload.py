@@ -3,8 +3,8 @@
 A profile says how much CPU a component takes, how often its timers are due and for how
 long they run, and what goes over each connector; not which handler sends what. Here
 
-- handlers of timers and messages take what they were measured to take, and calls share
-  the rest; where only timers were measured, messages and calls do;
+- handlers, timers and calls take what they were measured to take; what was not measured
+  shares the rest;
 - a connector is fed by a handler whose code names its port: of several by that whose
   rate is the nearest above its own, a fraction of whose runs send something: n out at
   n/s from a timer of n Hz go out at each run.
@@ -19,12 +19,13 @@ from statistics import NormalDist
 
 from msgspec import Struct, structs
 
-from poise.estimate.profiles import WINDOW, ConnectorProfile, Profile
+from poise.estimate.profiles import WINDOW, ConnectorProfile, HandlerProfile, Profile
 from poise.manage.deploy.deployment_layout import DeploymentLayout
 from poise.model.check.ros2_components import BRIDGE
 from poise.model.robot import ComponentEntry, Connector, Robot
 from poise.model.software import ComponentCode
 from poise.runtime.component.ports import Timer
+from poise.runtime.component.started_calls import ANSWER
 from poise.simulation.component_models import (
     ComponentModel,
     Flaw,
@@ -42,6 +43,10 @@ _P95, _P99 = 1.645, 2.326
 """Percentiles of a standard normal distribution."""
 _WAITED = 0.2
 """A run that waits for this share of its period waits for a device."""
+LEFT_OUT = "what its runs wait for is left out here, and only their CPU counts"
+"""Said of a timer that was late although nothing else ran."""
+_LATE = 0.05
+"""It missed at least this share of its deadlines."""
 _HEADROOM = 1.05
 """A demand in the robot file is more than the mean by about this factor."""
 _START, _USUAL_START = (0.8, 1.2), 0.2
@@ -53,11 +58,21 @@ _AS_OFTEN = 1.05
 """A handler feeds a connector whose rate is up to this factor above its own."""
 
 
+_EVENLY = Timer("work", 0.01, None)
+"""Takes the CPU of what has no handler that is known to run, as of a program."""
+
+
 NO_PROFILE = (
-    "the robot file names no profile that was measured, as in `profile: profile.yaml`: "
-    "the ages are guessed from the CPU that components need; `poise profile` measures"
+    "no profile was measured: the ages are guessed from the CPU that components need; "
+    "`poise profile` measures one, and the robot file names it, as in `profile: "
+    "profile.yaml`"
 )
 """Said where nothing was measured."""
+NO_WAITS = (
+    "the profile does not say how long some handlers wait for what is not CPU, such as "
+    "a device: the ages are predicted as if they did not; `poise profile` measures it"
+)
+"""Said of profiles that an older Poise wrote."""
 
 Place = tuple[str, str, int]
 """Where something comes in: the port, the function that it comes from, and a number;
@@ -115,6 +130,8 @@ def workload_of(
         factors = tuple(second / mean for second in taken) if mean else ()
         model = _at_rates(part.model(), _rates(robot, entry.name, bag))
         models[entry.name] = structs.replace(model, factors=factors)
+    if not all(_knows_waits(robot, profile)):
+        guesses.append(NO_WAITS)
     traffic = Traffic(
         sizes={name: t.size for name, t in {**over, **bag}.items() if t.size},
         calling=frozenset(name for name, t in over.items() if t.calls),
@@ -123,6 +140,17 @@ def workload_of(
     return SimulatedWork(
         models=models, traffic=traffic, agent=profile.agent, guesses=tuple(guesses)
     )
+
+
+def _knows_waits(robot: Robot, profile: Profile) -> Iterator[bool]:
+    for entry in robot.components():
+        if (known := profile.components.get(entry.name)) is not None:
+            yield bool(known.handlers) or not known.timers
+            yield from (each.waiting is not None for each in known.handlers.values())
+    for connector in robot.all_connectors():
+        over = profile.connectors.get(str(connector))
+        if over is not None and over.answering is not None:
+            yield over.answering.waiting is not None
 
 
 def _rates(
@@ -160,7 +188,8 @@ def _traffic_of(
 def _code_of(robot: Robot, entry: ComponentEntry) -> tuple[ComponentCode | None, str]:
     """Return what the class of a component declares, or why it is not known."""
     if not entry.implementation:
-        return None, f"'{entry.name}' is a program: only its CPU counts"
+        said = f"'{entry.name}' is a program: only its CPU counts, one core at most"
+        return None, said
     if (known := robot.code.get(entry.name)) is not None:
         return known, ""
     return None, f"the code of '{entry.name}' is not known: `poise check`"
@@ -178,14 +207,24 @@ class _Rated(Struct):
     spread: float
     publishes: dict[str, float]
     calls: dict[str, float]
+    joined: dict[str, float] = {}
+    started: dict[str, float] = {}
     is_measured: bool = False
+    waiting: float = 0.0
+    wait: float = 0.0
+    wait_spread: float = 0.0
 
     def handler(self) -> HandlerModel:
         return HandlerModel(
             work=self.work,
             spread=self.spread,
+            waiting=self.waiting,
+            wait=self.wait,
+            wait_spread=self.wait_spread,
             publishes=self.publishes,
             calls=self.calls,
+            joined=self.joined,
+            started=self.started,
         )
 
 
@@ -207,7 +246,8 @@ class _ComponentWork:
         self._over = over
         self._entry = entry
         self._code = code
-        self._speed = profile.speed or 1.0
+        # an emulated computer of half the speed runs at full speed, half of the time
+        self._speed = 1.0 if profile.loops else profile.speed or 1.0
         self._known = profile.components.get(entry.name)
         self._guess = guess
         self._calls = any(
@@ -215,19 +255,32 @@ class _ComponentWork:
             for connector in robot.all_connectors()
             if connector.between[0].component == entry.name
         )
+        timers = self._timers()
+        self._follows_device = (
+            bool(timers) and not any(self._coming()) and all(map(self._waits, timers))
+        )
+        if entry.implementation and timers == [_EVENLY]:
+            guess(f"'{entry.name}' has no timer and gets nothing: only its CPU counts")
 
     def model(self) -> ComponentModel:
         """Return what it does."""
         entry, known = self._entry, self._known
+        self._say_late()
         start = known.start if known else _USUAL_START
         timers = {timer.name: self._timer(timer) for timer in self._timers()}
         coming = list(self._coming())
         taken = self._runs((s, at, t.messages) for s, at, t in coming if t.messages)
-        alike = {id(e): self._measured(e.of, e.rate) or e for e in taken.values()}
-        taken = {slot: alike[id(handler)] for slot, handler in taken.items()}
+        for handler in taken.values():
+            self._take(handler, known.handlers.get(handler.of) if known else None)
         served = self._runs((s, at, t.calls) for s, at, t in coming if t.calls)
+        for slot, _, over in coming:
+            if over.calls:
+                self._take(served[slot], over.answering)
         others = [*taken.values(), *served.values()]
         unique = list({id(handler): handler for handler in others}.values())
+        if answer := self._answer():
+            self._take(answer, known.handlers.get(ANSWER) if known else None)
+            unique.append(answer)
         if any(handler.is_measured for handler in (*timers.values(), *unique)):
             _share_rest(self.cpu(), [*timers.values(), *unique])
         else:
@@ -241,16 +294,23 @@ class _ComponentWork:
             takes={slot: handler.handler() for slot, handler in taken.items()},
             serves={slot: handler.handler() for slot, handler in served.items()},
             other=HandlerModel(work=1e-4),
+            answer=answer.handler() if answer else None,
             keep=self._keeps(),
             start=(_START[0] * start, _START[1] * start),
             state_size=(known.state if known else 0.0) or entry.state,
             memory=known.memory + known.base
             if known
             else entry.demand.get("memory", 0.0),
-            follows_device=bool(timers) and all(map(self._waits, self._timers())),
+            follows_device=self._follows_device,
         )
 
     def _timers(self) -> list[Timer]:
+        timers = self._own_timers()
+        if timers or any(traffic.rate for _, _, traffic in self._coming()):
+            return timers
+        return [_EVENLY] if self.cpu() else []
+
+    def _own_timers(self) -> list[Timer]:
         if self._entry.implementation == BRIDGE:
             return [  # what comes from ROS 2: no component sends it
                 Timer(connector.between[0].port, 1 / rate, None)
@@ -267,15 +327,47 @@ class _ComponentWork:
         ]
 
     def _timer(self, timer: Timer) -> _Rated:
-        if (rated := self._measured(timer.name, 1 / timer.period)) is not None:
-            return rated
-        measured = self._known.timers.get(timer.name) if self._known else None
+        known = self._known
+        measured = known.timers.get(timer.name) if known else None
         spread = self._spread(1 / timer.period)
         if measured and measured.median > 0 and measured.p99 > measured.median:
             # what it waited for is in that, too
             spread = min(spread, log(measured.p99 / measured.median) / _P99)
         work = measured.median * self._speed if measured else 0.0
-        return _Rated(timer.name, 1 / timer.period, work, spread, {}, {})
+        rated = _Rated(timer.name, 1 / timer.period, work, spread, {}, {})
+        self._take(rated, known.handlers.get(timer.name) if known else None)
+        return rated
+
+    def _answer(self) -> _Rated | None:
+        """Return what takes the answers of the calls that its code starts."""
+        starts = self._code.starts if self._code else {}
+        rate = sum(
+            self._over[str(connector)].calls
+            for connector in self._robot.all_connectors()
+            if connector.between[0].component == self._entry.name
+            if any(connector.between[0].port in each for each in starts.values())
+        )
+        if not rate or self._code is None or ANSWER not in self._code.sends:
+            return None
+        return _Rated(ANSWER, rate, 0.0, self._spread(rate), {}, {})
+
+    def _say_late(self) -> None:
+        """Say which timers were late when little else ran, as they wait in their runs.
+
+        What they wait for in calls is simulated, and so is a wait that was measured,
+        but for a device.
+        """
+        for name, run in (self._known.timers if self._known else {}).items():
+            taken = self._known.handlers.get(name) if self._known else None
+            computes = taken.p99 / self._speed if taken else 0.0
+            late = run.missed or 0.0
+            if taken and taken.waits and not self._follows_device:
+                continue
+            if late >= _LATE and computes < run.p99 / 2 and not self._calls:
+                self._guess(
+                    f"'{self._entry.name}.{name}' missed {late:.0%} of its deadlines "
+                    f"when it was profiled: {LEFT_OUT}"
+                )
 
     def _waits(self, timer: Timer) -> bool:
         """Whether its runs take far longer than they compute, and call nobody."""
@@ -298,14 +390,16 @@ class _ComponentWork:
         }
         return {slot: runs[place] for slot, place in places.items()}
 
-    def _measured(self, name: str, rate: float) -> _Rated | None:
-        """Return a handler whose CPU time was measured; None: it was not."""
-        taken = self._known.handlers.get(name) if self._known else None
+    def _take(self, handler: _Rated, taken: HandlerProfile | None) -> None:
+        """Let a handler take what it was measured to take, if it was."""
         if taken is None:
-            return None
-        spread = log(max(1.0, taken.p99 / (taken.median or taken.p99 or 1.0))) / _P99
-        spread = min(_MOST_SPREAD, spread)
-        return _Rated(name, rate, taken.mean, spread, {}, {}, is_measured=True)
+            return
+        handler.is_measured = True
+        handler.work = taken.mean
+        handler.spread = _spread_of(taken.median or taken.p99, taken.p99)
+        if taken.waits and not self._follows_device:
+            handler.waiting, handler.wait = taken.waiting or 0.0, taken.wait
+            handler.wait_spread = _spread_of(taken.wait, taken.wait_p99)
 
     def _spread(self, rate: float) -> float:
         """Return how much runs differ, by how much windows with several of them do.
@@ -328,12 +422,12 @@ class _ComponentWork:
         return min(most, max(_LEAST_SPREAD, by_tail))
 
     def _coming(self) -> Iterator[tuple[str, Place, ConnectorProfile]]:
-        """Yield slot, place and traffic of each connector that ends here."""
+        """Yield slot, place and traffic of each connector of Poise that ends here."""
         owners = {c.name: a for a in self._robot.architectures for c in a.components}
         counts = Counter[tuple[str, str]]()
         for connector in self._robot.all_connectors():
             source, end = connector.between
-            if end.component == self._entry.name:
+            if end.component == self._entry.name and not connector.topic:
                 owner = owners[source.component]
                 number = counts[end.port, owner.name]
                 counts[end.port, owner.name] += 1
@@ -376,9 +470,6 @@ class _ComponentWork:
         elif timers:
             for timer in timers:
                 timer.work = total / sum(t.rate for t in timers)
-        if not timers and not others and total:
-            what = f"'{self._entry.name}' has no timer and gets nothing: it idles here"
-            self._guess(what)
 
     def cpu(self) -> float:
         """Return the mean CPU that it takes [cores of the reference]."""
@@ -391,23 +482,34 @@ class _ComponentWork:
         wanted: dict[str, tuple[str, ConnectorProfile]] = {}
         for connector in self._robot.all_connectors():
             end = connector.between[0]
-            if end.component == self._entry.name:
+            if end.component == self._entry.name and not connector.topic:
                 slot, over = self._layout.slot_of(connector), self._over[str(connector)]
                 if slot not in wanted or over.rate > wanted[slot][1].rate:
                     wanted[slot] = end.port, over
         sends = self._code.sends if self._code else {}
         for slot, (port, over) in wanted.items():
             may = [handler for handler in handlers if port in sends.get(handler.of, ())]
-            by = _feeding(may or handlers, over.rate)
-            if by is None or not by.rate:
+            calling = _feeding(may or handlers, over.calls)
+            sending = _feeding(may or handlers, over.messages)
+            if calling is None or sending is None:
                 if over.rate:
                     self._guess(f"nothing sends over '{slot}': no handler runs")
-            elif over.calls:
-                by.calls[slot] = _each(over.calls / by.rate)
-            elif over.messages:
-                by.publishes[slot] = _each(over.messages / by.rate)
-            else:
+            elif not over.rate:
                 self._guess(f"the traffic over '{slot}' is not known: it has none here")
+            else:
+                if over.calls:
+                    starts = self._code.starts if self._code else {}
+                    waits = starts.get(calling.of, {}).get(port)
+                    calls = {None: calling.calls, True: calling.joined}
+                    each = _each(over.calls / calling.rate)
+                    calls.get(waits, calling.started)[slot] = each
+                if over.messages:  # one-way calls are sent like messages
+                    sending.publishes[slot] = _each(over.messages / sending.rate)
+
+
+def _spread_of(median: float, p99: float) -> float:
+    """Return the spread of values that are distributed log-normally."""
+    return min(_MOST_SPREAD, log(max(1.0, p99 / (median or 1.0))) / _P99)
 
 
 def _share_rest(total: float, handlers: list[_Rated]) -> None:

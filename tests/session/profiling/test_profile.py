@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -138,6 +139,63 @@ def test_no_caller_fails_because_its_callee_ends_before_it(
     robot = load_bare(tmp_path / "robot.yaml")
     profile(robot, seconds=1.0, warm_up=0.2, repeat=1)
     assert "ERROR" not in capfd.readouterr().err
+
+
+SMALL = """\
+robot: small
+computers: {main: {cpu: 0.15, memory: 1 GiB}, other: {cpu: 0.15, memory: 1 GiB}}
+architectures:
+  asking:
+    function: asking
+    components:
+      asker: {implementation: "small:Asker"}
+      clock: {implementation: "small:Clock"}
+    connectors:
+      - {between: [asker.hours, clock.now]}
+"""
+SMALL_CODE = """
+import time
+
+from poise import Component, Provided, Required, every
+
+class Now:
+    def hour(self) -> int: raise NotImplementedError
+
+def burn(seconds: float) -> None:
+    end = time.thread_time() + seconds
+    while time.thread_time() < end:
+        pass
+
+class Clock(Component):
+    now: Provided[Now]
+
+    def hour(self) -> int:
+        burn(0.005)
+        return 12
+
+class Asker(Component):
+    hours: Required[Now]
+
+    @every(0.05)
+    def look(self) -> None:
+        burn(0.005)
+        self.hours.hour()
+"""
+
+
+@pytest.mark.exhaustive
+@pytest.mark.slow
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs root: a quota of CPU")
+def test_what_does_not_fit_on_one_computer_is_measured_at_its_own_rates(
+    tmp_path: Path,
+) -> None:
+    """Both need 0.2 cores; the emulated computer has 0.15: for 15 calls a second."""
+    (tmp_path / "robot.yaml").write_text(SMALL)
+    (tmp_path / "small.py").write_text(SMALL_CODE)
+    robot = load_bare(tmp_path / "robot.yaml")
+    found = profile(robot, seconds=2.0, warm_up=0.5, repeat=1).profile
+    calls = found.connectors["asker.hours-clock.now"].calls
+    assert 16.0 < calls < 22.0
 
 
 @pytest.mark.slow

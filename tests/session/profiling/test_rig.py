@@ -87,9 +87,12 @@ def test_feeds_from_who_feeds_the_feeders() -> None:
 
 
 def test_others_are_as_large_as_all_together() -> None:
-    robot = rig_of(ROBOT, "see", "main", apart=False).robot
+    rig = rig_of(ROBOT, "see", "main", apart=False)
+    robot = rig.robot
     here, others = robot.computers
-    assert here == ROBOT.computer("main")
+    assert here.capacity["memory"] == ROBOT.computer("main").capacity["memory"]
+    assert here.total("cpu") == 1.0  # whole cores
+    assert rig.promised == 0.5
     assert others.capacity["cpu"] * others.speed == 1.0
     assert robot.simulator == Simulator(command=("work",))
 

@@ -7,10 +7,20 @@ from msgspec.structs import replace
 from poise.errors import RobotError, RunError
 from poise.estimate import profiles as profile_file
 from poise.estimate.code_version import version_of
-from poise.estimate.profiles import ComponentProfile, Distribution, Profile
+from poise.estimate.profiles import (
+    ComponentProfile,
+    Distribution,
+    HandlerProfile,
+    Profile,
+)
 from poise.model import load
 from poise.model.robot import Robot
-from poise.session.profiling.stored_profiles import profiled, stale, write_demands
+from poise.session.profiling.stored_profiles import (
+    profiled,
+    read_profile,
+    stale,
+    write_demands,
+)
 
 TEXT = """\
 robot: r
@@ -86,6 +96,34 @@ def test_says_that_a_profile_is_stale(robot: Robot) -> None:
     assert stale(robot, measured(robot)) == []
     (Path(robot.folder) / "eyes.py").write_text("class Eye:\n    x = 1\n")
     assert "changed since they were measured: eye" in profiled(robot).says
+
+
+@pytest.mark.parametrize(
+    ("address", "loops", "factor"),
+    [("address: 10.0.0.1, ", 0.0, 2.0), ("", 0.0, 1.0), ("", 5e3, 1.0)],
+)
+def test_cpu_of_a_real_computer_is_given_for_the_speed_that_it_has_now(
+    robot: Robot, address: str, loops: float, factor: float
+) -> None:
+    profile = measured(robot)
+    eye = replace(
+        profile.components["eye"],
+        share=0.01,
+        handlers={"look": HandlerProfile(mean=0.01, median=0.01, p99=0.01)},
+    )
+    write(robot, replace(profile, loops=loops, components={"eye": eye}))
+    text = TEXT.replace("a: {", f"a: {{{address}speed: 2, ")
+    (Path(robot.folder) / "robot.yaml").write_text(text)
+    robot = load(Path(robot.folder) / "robot.yaml")
+    found = read_profile(robot)
+    assert found is not None
+    assert found.speed == factor
+    now = found.components["eye"]
+    assert now.cpu.sustained == 0.2 * factor
+    assert now.share == 0.01 * factor
+    assert now.handlers["look"].mean == 0.01 * factor
+    demand = next(profiled(robot).robot.components()).demand["cpu"]
+    assert demand == pytest.approx((0.2 + 0.01) * 1.05 * factor)
 
 
 def test_says_what_measures_a_profile_that_is_not_there(robot: Robot) -> None:

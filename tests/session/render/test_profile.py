@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import io
 import re
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
@@ -11,12 +12,15 @@ from rich.console import Console
 from poise.estimate import profiles as profile_file
 from poise.estimate.profiles import (
     ComponentProfile,
+    ConnectorProfile,
     Distribution,
+    HandlerProfile,
     Profile,
     Store,
     TimerProfile,
 )
 from poise.model import load
+from poise.model.robot import Robot
 from poise.session.render.profile_tables import history_table, show_profile
 from tests.command import Poise
 
@@ -81,12 +85,19 @@ def test_what_was_not_there_is_empty() -> None:
     assert re.split(r"\s{2,}", row.strip()) == ["eye", "30.00%, 2 MiB"]
 
 
-def shown(folder: Path, memory: float = 1e6, **timers: TimerProfile) -> str:
+def shown(
+    folder: Path,
+    memory: float = 1e6,
+    handlers: Mapping[str, HandlerProfile] = {},
+    **timers: TimerProfile,
+) -> str:
     """Return what is printed of a profile of a robot without connectors."""
     file = folder / "robot.yaml"
     file.write_text(ROBOT.replace("profile: profile.yaml\n", ""))
     out = io.StringIO()
-    measured = replace(eye(0.3), memory=memory, base=12e6, timers=timers)
+    measured = replace(
+        eye(0.3), memory=memory, base=12e6, timers=timers, handlers=handlers
+    )
     profile = replace(NOW, components={"eye": measured})
     console = Console(file=out, width=80, color_system=None)
     show_profile(load(file), profile, console)
@@ -94,8 +105,8 @@ def shown(folder: Path, memory: float = 1e6, **timers: TimerProfile) -> str:
 
 
 def test_a_timer_that_never_ran_has_no_times(tmp_path: Path) -> None:
-    ran = TimerProfile(period=0.1, median=0.01, p99=0.02, maximum=0.03)
-    never = TimerProfile(period=30.0, median=0.0, p99=0.0, maximum=0.0)
+    ran = TimerProfile(period=0.1, median=0.01, p99=0.02, maximum=0.03, missed=0.0)
+    never = TimerProfile(period=30.0, median=0.0, p99=0.0, maximum=0.0, missed=0.0)
     lines = shown(tmp_path, look=ran, rest=never).splitlines()
     rows = [re.split(r"\s{2,}", x.strip()) for x in lines if x.startswith("eye.")]
     assert rows == [
@@ -104,6 +115,35 @@ def test_a_timer_that_never_ran_has_no_times(tmp_path: Path) -> None:
     ]
     (said,) = (x for x in lines if x.startswith("not known"))
     assert "eye.rest runs, as no run ended" in said
+
+
+def test_a_timer_without_a_deadline_missed_none(tmp_path: Path) -> None:
+    ran = TimerProfile(period=0.1, median=0.01, p99=0.02, maximum=0.03)
+    (row,) = (x for x in shown(tmp_path, look=ran).splitlines() if "eye.look" in x)
+    assert re.split(r"\s{2,}", row.strip())[-1] == "30 ms"
+
+
+def test_a_handler_of_which_some_runs_wait_is_shown(tmp_path: Path) -> None:
+    taken = HandlerProfile(
+        mean=0.005, median=0.004, p99=0.006, waiting=0.33, wait=0.03, wait_p99=0.05
+    )
+    handlers = {"see": taken, "look": replace(taken, waiting=0.001)}
+    lines = shown(tmp_path, handlers=handlers).splitlines()
+    (row,) = (line for line in lines if line.startswith("eye."))
+    assert row.split() == ["eye.see", "4", "ms", "33%", "30", "ms", "50", "ms"]
+    assert "handler" not in shown(tmp_path, handlers={"look": handlers["look"]})
+
+
+def test_calls_that_wait_are_shown_with_their_connector() -> None:
+    taken = HandlerProfile(
+        mean=0.005, median=0.004, p99=0.006, waiting=0.33, wait=0.03, wait_p99=0.05
+    )
+    calls = ConnectorProfile(calls=1.0, answering=taken)
+    robot, out = Robot(name="r", computers=()), io.StringIO()
+    console = Console(file=out, width=200, color_system=None)
+    show_profile(robot, replace(NOW, connectors={"eye.x-mind.y": calls}), console)
+    (row,) = (line for line in out.getvalue().splitlines() if "30 ms" in line)
+    assert row.split() == ["eye.x-mind.y", "4", "ms", "33%", "30", "ms", "50", "ms"]
 
 
 def test_a_table_without_rows_is_left_out(tmp_path: Path) -> None:

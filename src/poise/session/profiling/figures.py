@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
 
@@ -10,7 +10,7 @@ import msgspec
 from msgspec import Struct, structs
 
 from poise.errors import last_error
-from poise.estimate.online import Reading, window_between
+from poise.estimate.online import CPU_LEFT, Reading, window_between
 from poise.estimate.profiles import (
     ComponentProfile,
     ConnectorProfile,
@@ -18,13 +18,14 @@ from poise.estimate.profiles import (
     HandlerProfile,
     TimerProfile,
     distribution_of,
+    scaled,
 )
 from poise.manage.agent_connections.statuses import (
     Statuses,
     components_of,
     connectors_of,
 )
-from poise.manage.observe.estimates import traffic_between
+from poise.manage.observe.estimates import CpuLeft, traffic_between
 from poise.model.robot import Robot
 from poise.session.profiling.rig import EMPTY, ProfilingRig
 from poise.session.render.tables import failed_calls
@@ -34,6 +35,7 @@ from poise.wire.records.status_records import (
     ComponentStatus,
     ContainerSample,
     Summary,
+    TimerStatus,
 )
 
 
@@ -46,20 +48,25 @@ class MeasuredUsage(Struct, frozen=True, kw_only=True):
     members: Mapping[str, tuple[str, ...]]  # Container -> its components
     memory: Mapping[str, float]  # Container -> peak of its memory [bytes]
     agents: Mapping[str, float]  # Computer -> CPU of its agent [cores]
+    # Computer -> CPU of all programs [cores]; without those whose agent cannot tell
+    busy: Mapping[str, float] = {}
     # Traffic of connectors, by their run-time names
     connectors: Mapping[str, ConnectorProfile]
-    # Component -> share of the arrived jobs that were not done
+    # Component -> share of the arrived jobs that were not done for lack of CPU
     undone: Mapping[str, float]
 
 
-def measure(samples: Iterable[AgentSample]) -> MeasuredUsage:
+def measure(samples: Iterable[AgentSample], robot: Robot) -> MeasuredUsage:
     """Return the usage from the first to the last of `samples`."""
     by_agent: dict[str, list[AgentSample]] = defaultdict(list)
     by_container: dict[str, list[ContainerSample]] = defaultdict(list)
+    cpu_left, with_cpu_left = CpuLeft(robot), Counter[str]()
     for sample in samples:
         by_agent[sample.computer].append(sample)
+        there = cpu_left.add(sample)
         for container in sample.containers:
             by_container[container.name].append(container)
+            with_cpu_left[container.name] += container.pid in there
     cpu: dict[str, Distribution] = {}
     undone: dict[str, float] = {}
     rest, members, memory = {}, {}, {}
@@ -67,7 +74,8 @@ def measure(samples: Iterable[AgentSample]) -> MeasuredUsage:
     for name, seen in by_container.items():
         readings = _readings(seen)
         cpu |= {c: _distribution(r) for c, r in readings.items()}
-        undone |= {c: _undone(r) for c, r in readings.items()}
+        had_cpu = with_cpu_left[name] >= CPU_LEFT * (len(seen) - 1)
+        undone |= {c: 0.0 if had_cpu else _undone(r) for c, r in readings.items()}
         members[name] = tuple(readings)
         rest[name] = _rate([(s.at, s.cpu) for s in seen]) - sum(
             _rate([(r.at, r.cpu) for r in each]) for each in readings.values()
@@ -82,6 +90,11 @@ def measure(samples: Iterable[AgentSample]) -> MeasuredUsage:
         memory=memory,
         agents={
             n: _rate([(s.at, s.cpu) for s in each]) for n, each in by_agent.items()
+        },
+        busy={
+            n: _rate([(s.at, s.busy) for s in each if s.busy is not None])
+            for n, each in by_agent.items()
+            if any(s.busy is not None for s in each)
         },
         connectors=connectors,
         undone=undone,
@@ -172,6 +185,15 @@ def disagreeing(runs: Sequence[Observed], names: Iterable[str]) -> list[str]:
     return [name for name in names if not _is_stable(runs, name)]
 
 
+def how_full(runs: Iterable[Observed], rig: ProfilingRig) -> float:
+    """Return the share of its CPU that the measuring computer used in the fullest run.
+
+    It is 0 where its agent cannot tell.
+    """
+    cores = rig.robot.computer(rig.computer).own_cores
+    return max(run.measured.busy.get(rig.computer, 0.0) for run in runs) / cores
+
+
 class WhatFailed(Struct, frozen=True):
     """What failed during a measurement, for people.
 
@@ -217,28 +239,35 @@ def figures(
     names = rig.measured
     typical = sorted(runs, key=lambda run: _total(run, names))[(len(runs) - 1) // 2]
     memory = _memory(typical, apart, names)
+    shares = _shares(typical, apart, names)
     states = {s.name: s for s in components_of(apart.statuses)}
     timed = {s.name: s for s in components_of(typical.statuses)}
     timed |= {s.name: s for s in components_of(typical.working)}
+    # with others in its container it waits for the interpreter, too
+    alone = {s.name: s for s in components_of(apart.working)}
     found = {}
     for name in names:
         own, base = memory[name]
         found[name] = ComponentProfile(
             version=versions[name],
-            cpu=_scaled(typical.measured.cpu.get(name, Distribution()), speed),
-            share=speed * _share(typical.measured, name),
+            cpu=scaled(typical.measured.cpu.get(name, Distribution()), speed),
+            share=speed * shares[name],
             memory=own,
             base=base,
             state=float(states[name].snapshot) if name in states else 0.0,
             start=timed[name].start if name in timed else 0.0,
             timers=_timers(timed.get(name)),
-            handlers=_handlers(timed.get(name), speed),
+            handlers={
+                what: taken
+                for what, taken in _taken(timed.get(name), alone.get(name), speed)
+                if what not in typical.measured.connectors  # calls: `_connectors`
+            },
             repeat=speed * _range(runs, name),
             stable=_is_stable(runs, name),
         )
     return Figures(
         components=found,
-        connectors=dict(_connectors(robot, rig, typical, apart)),
+        connectors=dict(_connectors(robot, rig, typical, apart, speed)),
         agent=speed * typical.measured.agents.get(rig.computer, 0.0),
     )
 
@@ -263,24 +292,25 @@ def _total(run: Observed, names: Iterable[str]) -> float:
     return sum(run.measured.cpu[n].mean for n in names if n in run.measured.cpu)
 
 
-def _scaled(distribution: Distribution, speed: float) -> Distribution:
-    return msgspec.structs.replace(
-        distribution,
-        mean=distribution.mean * speed,
-        p95=distribution.p95 * speed,
-        p99=distribution.p99 * speed,
-        peak=distribution.peak * speed,
-        sustained=distribution.sustained * speed,
-        error=None if distribution.error is None else distribution.error * speed,
-    )
+def _shares(
+    typical: Observed, apart: Observed, names: Sequence[str]
+) -> dict[str, float]:
+    """Return each component's part of what containers used beyond their components.
 
-
-def _share(measured: MeasuredUsage, name: str) -> float:
-    """Return a component's equal part of its container's own CPU."""
-    for container, members in measured.members.items():
-        if name in members:
-            return max(0.0, measured.rest[container]) / len(members)
-    return 0.0
+    Apart, the container of one with threads or processes of its own uses more than an
+    empty one: so much of it is that component's, and the rest is everybody's alike.
+    """
+    alone = _by_component(apart.measured, apart.measured.rest)
+    floor = alone.get(EMPTY, 0.0)
+    found: dict[str, float] = {}
+    for container, members in typical.measured.members.items():
+        rest = max(0.0, typical.measured.rest[container])
+        own = {name: max(0.0, alone.get(name, 0.0) - floor) for name in members}
+        total = sum(own.values())
+        part = min(1.0, rest / total) if total else 0.0
+        alike = max(0.0, rest - total) / len(members)
+        found |= {name: part * amount + alike for name, amount in own.items()}
+    return {name: found.get(name, 0.0) for name in names}
 
 
 def _memory(
@@ -291,7 +321,7 @@ def _memory(
     Apart, each component also has the libraries that a shared container has once. Their
     size is the difference between the sum and the shared container.
     """
-    alone = _by_component(apart.measured)
+    alone = _by_component(apart.measured, apart.measured.memory)
     floor = alone.get(EMPTY, 0.0)
     found: dict[str, tuple[float, float]] = {}
     for container, members in typical.measured.members.items():
@@ -309,10 +339,12 @@ def _memory(
     return {name: found.get(name, (0.0, 0.0)) for name in names}
 
 
-def _by_component(measured: MeasuredUsage) -> dict[str, float]:
-    """Return component -> memory of its container, for those that have their own."""
+def _by_component(
+    measured: MeasuredUsage, figures: Mapping[str, float]
+) -> dict[str, float]:
+    """Return component -> its container's figure, for those that have their own."""
     return {
-        members[0]: measured.memory[container]
+        members[0]: figures.get(container, 0.0)
         for container, members in measured.members.items()
         if len(members) == 1
     }
@@ -325,29 +357,49 @@ def _timers(status: ComponentStatus | None) -> dict[str, TimerProfile]:
             median=timer.duration.median,
             p99=timer.duration.p99,
             maximum=timer.duration.maximum,
-            missed=timer.missed / timer.releases if timer.releases else 0.0,
+            missed=_missed(timer),
         )
         for timer in (status.timers if status else ())
     }
 
 
-def _handlers(
-    status: ComponentStatus | None, speed: float
-) -> dict[str, HandlerProfile]:
-    return {
-        name: HandlerProfile(
-            mean=speed * taken.mean, median=speed * taken.median, p99=speed * taken.p99
-        )
-        for name, taken in sorted((status.work if status else {}).items())
-        if taken.count
-    }
+def _missed(timer: TimerStatus) -> float | None:
+    if timer.deadline is None:
+        return None
+    return timer.missed / timer.releases if timer.releases else 0.0
+
+
+def _taken(
+    status: ComponentStatus | None, alone: ComponentStatus | None, speed: float
+) -> Iterator[tuple[str, HandlerProfile]]:
+    """Yield what a component's handlers take, and over connectors their calls."""
+    for name, taken in sorted(status.work.items() if status else ()):
+        if taken.count:
+            wait = alone.waits.get(name, Summary()) if alone else Summary()
+            runs = alone.work.get(name, Summary()) if alone else Summary()
+            yield (
+                name,
+                HandlerProfile(
+                    mean=speed * taken.mean,
+                    median=speed * taken.median,
+                    p99=speed * taken.p99,
+                    waiting=wait.count / runs.count if runs.count else None,
+                    wait=wait.median,
+                    wait_p99=wait.p99,
+                ),
+            )
 
 
 def _connectors(
-    robot: Robot, rig: ProfilingRig, typical: Observed, apart: Observed
+    robot: Robot, rig: ProfilingRig, typical: Observed, apart: Observed, speed: float
 ) -> Iterator[tuple[str, ConnectorProfile]]:
     """Yield the connectors that end at `names`: rates as used, sizes as encoded."""
     sizes = _sizes(apart.statuses)
+    answering = {
+        name: taken
+        for status in components_of(apart.working)
+        for name, taken in _taken(status, status, speed)
+    }
     for connector in robot.all_connectors():
         if connector.between[1].component not in rig.measured:
             continue
@@ -364,6 +416,7 @@ def _connectors(
                     median=size.median,
                     p99=size.p99,
                     largest=size.maximum,
+                    answering=answering.get(key),
                 ),
             )
 

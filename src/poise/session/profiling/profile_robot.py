@@ -30,6 +30,7 @@ from poise.session.profiling.figures import (
     disagreeing,
     failures,
     figures,
+    how_full,
     measure,
 )
 from poise.session.profiling.rig import ProfilingRig, rig_of
@@ -49,6 +50,8 @@ Progress = Callable[[str, float], AbstractContextManager[Tick]]
 that is called with the time that has passed [s]."""
 _MOST_EXTRA = 2
 """How often unstable or invalid measurements are repeated."""
+_FULL = 0.9
+"""What uses more of a computer's CPU on average waits for it at times."""
 
 
 class Profiling(Struct, frozen=True, kw_only=True):
@@ -125,9 +128,10 @@ def profile(  # noqa: PLR0913 - each is a choice of the user
     computer = computer or robot.hosts[0].name
     found = []
     with steady(robot):
-        reference = here = loops() if robot.is_emulated else 0.0
-        if architectures and robot.is_emulated:
-            reference = _loops_of_others(robot, computer) or here
+        reference = 0.0
+        if robot.is_emulated:
+            others = _loops_of_others(robot, computer) if architectures else 0.0
+            reference = others or loops()
         measuring = _Measuring(
             robot=robot,
             computer=computer,
@@ -136,7 +140,7 @@ def profile(  # noqa: PLR0913 - each is a choice of the user
             repeat=repeat,
             say=say,
             check=check,
-            quicker=here / reference if reference else 1.0,
+            reference=reference,
         )
         for name in names:
             total = (repeat + 1) * (seconds + warm_up)
@@ -181,6 +185,15 @@ def _not_stable(runs: int, names: Sequence[str]) -> str:
     return f"not stable: {', '.join(names)} ({why})"
 
 
+def _full(computer: str, share: float) -> str:
+    """Return that what was measured may need more than it got."""
+    return (
+        f"'{computer}' was full ({share:.0%} of its CPU): timers and calls may have "
+        "fallen behind, so CPU and rates may be too small: measure on a larger "
+        "computer (--on), or with less else running"
+    )
+
+
 def _loops_of_others(robot: Robot, computer: str) -> float:
     """Return the `loops` of the profile that new figures join; 0: not known.
 
@@ -197,7 +210,8 @@ def _is_of(profile: Profile, robot: Robot, computer: str) -> bool:
 class _Measuring(Struct, frozen=True, kw_only=True):
     """Measures architectures, one after the other.
 
-    `quicker`: what a core here does, of what a core of the profile's machine does.
+    `reference`: what a core of the profile's machine does [loops/s], where computers
+    are emulated.
     """
 
     robot: Robot
@@ -207,23 +221,25 @@ class _Measuring(Struct, frozen=True, kw_only=True):
     repeat: int
     say: Say
     check: Check
-    quicker: float
+    reference: float
 
     def measure(self, architecture: str, tick: Tick) -> _Found:
         """Measure one architecture: as it is used, and with its components apart."""
         rig = rig_of(self.robot, architecture, self.computer, apart=False)
         apart = rig_of(self.robot, architecture, self.computer, apart=True)
+        before = self._loops()
         runs = self._runs(rig, tick)
+        speed = self._speed((before + self._loops()) / 2)
         sizes = self._run(apart, tick)
+        if (full := how_full(runs, rig)) >= _FULL:
+            self.say(_full(rig.computer, full))
         doubtful = disagreeing(runs, rig.measured)
         if doubtful:
             self.say(_not_stable(len(runs), doubtful))
         versions = {
             c.name: version_of(c, *self.robot.folders) for c in self.robot.components()
         }
-        found = figures(
-            self.robot, rig, runs, sizes, versions=versions, speed=self._speed()
-        )
+        found = figures(self.robot, rig, runs, sizes, versions=versions, speed=speed)
         silent = self._silent(rig, [*runs, sizes])
         failed = failures(rig.robot, runs[-1], rig.measured)
         for sentence in failed.sentences:
@@ -304,14 +320,19 @@ class _Measuring(Struct, frozen=True, kw_only=True):
             self.say(run.invalid)
         return run
 
-    def _speed(self) -> float:
+    def _loops(self) -> float:
+        """Return what a core here does now [loops/s]: others may slow it down."""
+        return loops() if self.robot.is_emulated else 0.0
+
+    def _speed(self, loops: float) -> float:
         """Return the factor from the computer's CPU time to the reference computer's.
 
         An emulated computer of speed 0.5 runs half of the time, at full speed; its
-        reference is a core of the machine of the profile.
+        reference is a core of the machine of the profile, and a core did `loops` while
+        it was measured.
         """
         if self.robot.is_emulated:
-            return self.quicker
+            return loops / self.reference
         return self.robot.computer(self.computer).speed
 
 
@@ -368,14 +389,14 @@ def measure_alone(
         with started(rig.robot, rig.placement, journal, nothing, sampling, check) as up:
             _watch(up, warm_up, tick)
             recording.drain()
-            up.computers.begin()
+            up.computers.begin({rig.computer: rig.promised})
             _watch(up, seconds, tick)
             samples = recording.drain()
             invalid = up.computers.end(rig.computer)
             working = up.live.agents.statuses()
             drain(up.live)  # a caller whose callee ends before it would fail
             return Observed(
-                measured=measure(samples),
+                measured=measure(samples, rig.robot),
                 statuses=up.live.agents.statuses(),
                 working=working,
                 invalid=invalid,

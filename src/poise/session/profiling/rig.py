@@ -8,6 +8,7 @@ of sources whose messages are recorded or generated.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from collections.abc import Set as AbstractSet
 from pathlib import Path
@@ -45,6 +46,20 @@ class Played(Struct, frozen=True):
     parts: Mapping[str, PlayedPort] = {}
     recording: str = ""  # The recording's file; empty: none
     bag: PlayedBag | None = None
+    running: AbstractSet[str] = frozenset()  # Components that make their calls
+
+    def beside(self, running: AbstractSet[str]) -> Played:
+        """Return what is played beside components, which need their calls' answers."""
+        parts = {}
+        for input_, part in self.parts.items():
+            sources = tuple(
+                source
+                for source in part.sources
+                if not (part.calls and source.rpartition(".")[0] in running)
+            )
+            if sources or part.generated:
+                parts[input_] = msgspec.structs.replace(part, sources=sources)
+        return msgspec.structs.replace(self, parts=parts, running=running)
 
     def covers(self, connector: Connector) -> bool:
         """Return whether what a connector brings is played."""
@@ -53,7 +68,11 @@ class Played(Struct, frozen=True):
 
     def replaces(self, connector: Connector) -> bool:
         """Return whether the replay component replaces a connector."""
-        return str(connector.between[1]) in self.parts
+        source, target = connector.between
+        part = self.parts.get(str(target))
+        return part is not None and not (
+            part.calls and source.component in self.running
+        )
 
     def is_empty(self) -> bool:
         """Return whether nothing is played."""
@@ -129,8 +148,7 @@ def _recorded(robot: Robot, recording: str) -> dict[str, PlayedPort]:
         inputs = inputs_of(Path(recording))
     except UsageError as error:
         raise UsageError(
-            f"workload: recording {recording} cannot be replayed: {error}. "
-            "`poise run --record` writes one"
+            f"workload: {error}. `poise run --record` writes a recording"
         ) from error
     found = _parts(robot, {each.source for each in inputs})
     if not found:
@@ -159,6 +177,7 @@ def _parts(robot: Robot, known: AbstractSet[str]) -> dict[str, PlayedPort]:
 
 
 OTHERS = "others"
+_ROUNDING = 1e-9
 EMPTY = "empty-container"
 """A component that does nothing; its container shows the cost of a container."""
 
@@ -170,6 +189,7 @@ class ProfilingRig(Struct, frozen=True):
     computer: str  # The computer of the architecture
     placement: Mapping[str, str]
     measured: tuple[str, ...]  # Names of its components
+    promised: float  # Cores that the computer must have had
     # Connectors of the robot -> connectors of the replay in their place
     played: Mapping[str, str] = {}
 
@@ -187,6 +207,8 @@ def rig_of(
     if apart:
         chosen = _apart(chosen)
     here = {c.name: computer for c in chosen.components}
+    fed = {c.name for architecture in feeding for c in architecture.components}
+    playing = playing.beside({*here, *fed})
     made = _emulated if robot.is_emulated else _real
     rig, elsewhere = made(robot, computer)
     others = feeding if playing.is_empty() else (*feeding, playing.player())
@@ -206,13 +228,18 @@ def rig_of(
         computer,
         placement,
         tuple(name for name in here if name != EMPTY),
+        robot.computer(computer).total("cpu"),
         playing.names(robot),
     )
 
 
 def _emulated(robot: Robot, computer: str) -> tuple[Robot, str]:
-    """Return the robot with one other computer, as large as all together."""
-    chosen = robot.computer(computer)
+    """Return the robot with one other computer, as large as all together.
+
+    The chosen one has whole cores: CPU time is the same there, and a full computer
+    would keep timers and calls from their rates.
+    """
+    chosen = _with_whole_cores(robot.computer(computer))
     total = sum(c.total("cpu") for c in robot.hosts)
     memory = sum(c.capacity["memory"] for c in robot.hosts)
     others = Computer(name=OTHERS, capacity={"cpu": total, "memory": memory})
@@ -228,6 +255,13 @@ def _emulated(robot: Robot, computer: str) -> tuple[Robot, str]:
         simulator=_simulator(robot),
     )
     return rig, OTHERS
+
+
+def _with_whole_cores(computer: Computer) -> Computer:
+    cores = math.ceil(computer.total("cpu") - _ROUNDING) / computer.speed
+    return msgspec.structs.replace(
+        computer, capacity={**computer.capacity, "cpu": cores}
+    )
 
 
 def _real(robot: Robot, computer: str) -> tuple[Robot, str]:
@@ -298,14 +332,13 @@ def _needed(
     """Yield the architectures whose messages, calls or answers `name` needs."""
     for connector in robot.connectors:
         source, target = connector.between
-        if playing.covers(connector):
-            continue
         if owner[target.component].name == name:
-            yield owner[source.component]
+            if not playing.covers(connector):
+                yield owner[source.component]
         elif owner[source.component].name == name and source.port in _required(
             robot, source.component
         ):
-            yield owner[target.component]
+            yield owner[target.component]  # played calls answer nobody
 
 
 def _required(robot: Robot, name: str) -> set[str]:

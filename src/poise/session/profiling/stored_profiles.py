@@ -32,11 +32,20 @@ class Profiled(Struct, frozen=True):
 
 
 def read_profile(robot: Robot) -> Profile | None:
-    """Return the profile that the robot file names; None if it does not exist."""
+    """Return the profile that the robot file names; None if it does not exist.
+
+    The CPU of a real computer is given for the speed that it has in the robot file now.
+    """
     path = Path(robot.folder) / robot.profile
     if not robot.profile or not path.exists():
         return None
-    return profile_file.read(path)
+    profile = profile_file.read(path)
+    speeds = {c.name: c.speed for c in robot.computers if c.address}
+    speed = speeds.get(profile.computer, profile.speed)
+    # of one that was emulated, no speed changes what the machine did
+    if profile.loops or not profile.speed or profile.robot != robot.name:
+        return profile
+    return profile_file.with_speed(profile, speed)
 
 
 def own_profile(robot: Robot) -> Profile | None:
@@ -45,7 +54,8 @@ def own_profile(robot: Robot) -> Profile | None:
     if profile is not None and profile.robot != robot.name:
         raise RobotError(
             f"{robot.profile} is the profile of robot '{profile.robot}', not of "
-            f"'{robot.name}'"
+            f"'{robot.name}': name a file of its own there, and `poise profile` "
+            "measures it"
         )
     return profile
 

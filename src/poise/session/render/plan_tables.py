@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 
 from rich.console import Console, RenderableType
 from rich.markup import escape
@@ -12,7 +12,7 @@ from poise import plan, units
 from poise.model.robot import Computer
 from poise.session.render.tables import table
 from poise.simulation.predicted_times import PredictedTimes
-from poise.simulation.workload import NO_PROFILE
+from poise.simulation.workload import LEFT_OUT, NO_PROFILE, NO_WAITS
 from poise.units import counted
 
 BAR = 10
@@ -36,7 +36,7 @@ def plan_parts(
     several = len(task_result.results) > 1
     parts = _phases(task_result) if several else _phase(task_result.only[1])
     legend = () if task_result.total is None else (f"[dim]{_LEGEND}[/]",)
-    return (*parts, *legend, *_chains(task_result, times))
+    return (*parts, *legend, *_chains(task_result, times), *_left_out(times))
 
 
 def _chains(
@@ -62,8 +62,7 @@ def _chains(
             )
     if rows.row_count:
         yield rows
-        if any(NO_PROFILE in predicted.guesses for predicted in times.values()):
-            yield NO_PROFILE
+        yield from (said for said in _guesses(times) if said in {NO_PROFILE, NO_WAITS})
     for name, predicted in times.items():
         for chain in predicted.chains:
             if chain.margin < 0:
@@ -93,6 +92,17 @@ def _chains(
         if late:
             where = f" in {name}" if phase else ""
             yield _line(f"predicted to miss deadlines{where}", ", ".join(late))
+
+
+def _left_out(times: Mapping[str, PredictedTimes]) -> Iterator[str]:
+    """Yield which timers were late by what is not predicted."""
+    for guess in _guesses(times):
+        if guess.endswith(LEFT_OUT):
+            yield f"[yellow]assumed: {escape(guess)}[/]"
+
+
+def _guesses(times: Mapping[str, PredictedTimes]) -> Iterable[str]:
+    return dict.fromkeys(g for predicted in times.values() for g in predicted.guesses)
 
 
 def _phase(result: plan.Result) -> tuple[RenderableType, ...]:

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 from rich.console import Console
 from rich.table import Table
 
 from poise.estimate.demands import cpu_demand, memory_demand, overheads
-from poise.estimate.profiles import ComponentProfile, ConnectorProfile, Profile
+from poise.estimate.profiles import (
+    ComponentProfile,
+    ConnectorProfile,
+    HandlerProfile,
+    Profile,
+)
 from poise.model.robot import Robot
 from poise.session.profiling.figures import AGREE_CORES, AGREE_SHARE
 from poise.session.render.tables import NamedRows, table
@@ -32,6 +37,9 @@ def show_profile(robot: Robot, profile: Profile, console: Console) -> None:
     console.print(_needs(found))
     if any(component.timers for component in found.values()):
         console.print(_timers(found))
+    waits = _waits(profile)
+    if waits.row_count:
+        console.print(waits)
     connectors = _connectors(robot, profile)
     if connectors.row_count:
         console.print(connectors)
@@ -122,9 +130,30 @@ def _timers(found: Mapping[str, ComponentProfile]) -> Table:
             head = f"{name}.{timer}", format_seconds(times.period)
             if times.maximum:
                 taken = map(format_seconds, (times.median, times.p99, times.maximum))
-                rows.add_row(*head, *taken, f"{times.missed:.1%}")
+                missed = "" if times.missed is None else f"{times.missed:.1%}"
+                rows.add_row(*head, *taken, missed)
             else:
                 rows.add_row(*head)
+    return rows
+
+
+def _handlers(profile: Profile) -> Iterator[tuple[str, HandlerProfile]]:
+    for component, of_it in profile.components.items():
+        for name, handler in of_it.handlers.items():
+            yield f"{component}.{name}", handler
+    for name, connector in profile.connectors.items():
+        if connector.answering is not None:
+            yield name, connector.answering
+
+
+def _waits(profile: Profile) -> Table:
+    rows = table("handler or call that waits", "CPU", "of all", "waits", "p99")
+    for name, handler in _handlers(profile):
+        if handler.waits:
+            cpu, *waits = map(
+                format_seconds, (handler.median, handler.wait, handler.wait_p99)
+            )
+            rows.add_row(name, cpu, f"{handler.waiting:.0%}", *waits)
     return rows
 
 

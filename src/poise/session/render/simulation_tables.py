@@ -28,7 +28,7 @@ MOST_ROWS = 12
 """More timers, faults, moves, outages or guesses are counted; `--json` has all."""
 _EARLY = 1e-3
 """What the time may be short by because of rounding [s]."""
-_MINUTE, _HOUR = 60.0, 3600.0
+_MINUTE = 60.0
 
 
 def simulation_parts(report: SimulationReport) -> Iterator[RenderableType]:

@@ -32,9 +32,11 @@ void DataAges::begin() {
   for (ChainAge& chain : chains_) chain.is_new = false;
 }
 
-void DataAges::end(bool is_timer, double now) {
-  for (ChainAge& chain : chains_)
-    if (chain.deadline && (is_timer || chain.is_new)) chain.use(now);
+void DataAges::end(bool is_later, double now) {
+  for (ChainAge& chain : chains_) {
+    if (chain.deadline && (is_later || chain.is_new)) chain.use(now);
+    chain.is_new = false;
+  }
 }
 
 void DataAges::take(const std::vector<ChainId>& chains, const Stamps& stamps) {

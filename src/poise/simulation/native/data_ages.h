@@ -44,8 +44,9 @@ class DataAges {
 
   // Let a run begin, which has taken no data yet.
   void begin();
-  // Let a run end: the last component of a chain has used its data.
-  void end(bool is_timer, double now);
+  // Let a run end: the last component of a chain has used its data; `is_later`: that may
+  // have come before, as for a timer or the turn of an answer.
+  void end(bool is_later, double now);
   // Take stamps that came with a message, a call or an answer.
   void take(const std::vector<ChainId>& chains, const Stamps& stamps);
   // The stamps of data that goes out now.

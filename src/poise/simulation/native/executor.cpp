@@ -11,11 +11,21 @@ namespace poise::simulation {
 constexpr double never = std::numeric_limits<double>::infinity();
 constexpr double least_quantile = 1e-9;
 
+static double draw_normal(Draws& draws) {
+  return normal_quantile(std::max(least_quantile, draws.next()));
+}
+
 // Draw the work of one run: log-normally around its mean.
 static double draw_work(const Handler& handler, Draws& draws) {
   if (handler.spread == 0.0) return handler.work;
-  const double normal = normal_quantile(std::max(least_quantile, draws.next()));
-  return handler.work * exponential(handler.spread * (normal - handler.spread / 2));
+  return handler.work * exponential(handler.spread * (draw_normal(draws) - handler.spread / 2));
+}
+
+// Draw for how long one run waits, if it does: log-normally around the median.
+static double draw_wait(const Handler& handler, Draws& draws) {
+  if (handler.waiting < 1.0 && draws.next() >= handler.waiting) return 0.0;
+  if (handler.wait_spread == 0.0) return handler.wait;
+  return handler.wait * exponential(handler.wait_spread * draw_normal(draws));
 }
 
 Executor::Executor(Container& container, ComponentKey key, Incarnation& who, const Model& model,
@@ -159,9 +169,10 @@ void Executor::work() {
   mailbox_.pop_front();
   const bool is_call = item.kind == Item::Kind::call;
   auto& handlers = is_call ? model_.serves : model_.takes;
-  if (!is_call) --waiting_[item.connector->slot];
+  if (item.kind == Item::Kind::message) --waiting_[item.connector->slot];
   const auto found = handlers.find(item.connector->slot);
-  Handler* const handler = found == handlers.end() ? &model_.other : &found->second;
+  Handler* handler = found == handlers.end() ? &model_.other : &found->second;
+  if (item.kind == Item::Kind::answer) handler = &*model_.answer;
   begin_turn({handler, nullptr, std::move(item), 0.0, now(), 0.0, {}});
 }
 
@@ -174,39 +185,54 @@ void Executor::begin_turn(Turn turn) {
   if (item.kind == Item::Kind::message && !turn_.timer)
     engine_.ledger.process(*item.connector->slot, item.number, who_);
   if (!item.stamps.empty()) ages_.take(item.connector->carries, item.stamps);
-  turn_.to_call = senders(turn_.handler->calls);
-  std::reverse(turn_.to_call.begin(), turn_.to_call.end());
+  for (Sender* sender : senders(turn_.handler->started)) sender->call(*this, 0);
+  std::vector<Sender*> joined = senders(turn_.handler->joined);
+  if (!joined.empty()) turn_.to_call.push_back(std::move(joined));
+  const std::vector<Sender*> calls = senders(turn_.handler->calls);
+  for (auto each = calls.rbegin(); each != calls.rend(); ++each) turn_.to_call.push_back({*each});
   call_next();
 }
 
 void Executor::call_next() {
-  if (turn_.to_call.empty())
-    begin_work();
-  else
-    turn_.to_call.back()->call(*this);
+  if (turn_.to_call.empty()) return begin_wait();
+  const std::vector<Sender*> next = std::move(turn_.to_call.back());
+  turn_.to_call.pop_back();
+  const std::uint64_t before = call_;
+  for (std::size_t i = 0; i < next.size(); ++i) open_.push_back(++call_);
+  for (std::size_t i = 0; i < next.size(); ++i) next[i]->call(*this, before + 1 + i);
 }
 
-std::uint64_t Executor::begin_call() {
-  is_calling_ = true;
-  return ++call_;
-}
-
-void Executor::end_call(std::uint64_t number, const Stamps* answer) {
-  if (number != call_ || !is_calling_) return;
-  is_calling_ = false;
+void Executor::end_call(std::uint64_t number, const Connector& over, const Stamps* answer) {
+  const auto is_over = [this, number] {
+    return number != 0 && std::find(open_.begin(), open_.end(), number) == open_.end();
+  };
+  if (is_over()) return;
   ++(answer ? engine_.ledger.calls : engine_.ledger.failed_calls);
-  container_.perform([this, stamps = answer ? *answer : Stamps{}] {
-    if (!stamps.empty()) ages_.take(turn_.to_call.back()->connector().answers, stamps);
-    turn_.to_call.pop_back();
-    call_next();
+  container_.perform([this, number, &over, is_over, stamps = answer ? *answer : Stamps{}] {
+    if (is_over()) return;
+    if (!stamps.empty()) ages_.take(over.answers, stamps);
+    if (number != 0) {
+      open_.erase(std::find(open_.begin(), open_.end(), number));
+      if (open_.empty()) call_next();
+    } else if (model_.answer && is_there()) {
+      take({Item::Kind::answer, 0, {}, {}, &over});
+    }
   });
+}
+
+void Executor::begin_wait() {
+  const Handler& handler = *turn_.handler;
+  const double wait = handler.waiting > 0.0 ? draw_wait(handler, engine_.draws) : 0.0;
+  if (wait <= 0.0) return begin_work();
+  engine_.events.at(now() + wait, [this] { container_.perform([this] { begin_work(); }); });
 }
 
 void Executor::begin_work() {
   const auto& factors = model_.factors;
   double work = draw_work(*turn_.handler, engine_.draws);
   if (!factors.empty()) work *= factors[static_cast<std::size_t>(now()) % factors.size()];
-  if (!turn_.timer) work += turn_.item.connector->target_cost;
+  if (!turn_.timer && turn_.item.kind != Item::Kind::answer)
+    work += turn_.item.connector->target_cost;
   turn_.cost = work;
   container_.group().run(work, [this] { finish_work(); });
 }
@@ -215,7 +241,7 @@ void Executor::finish_work() {
   cpu_ += turn_.cost;
   engine_.ledger.end(who_, container_.awake_since(), now());
   if (may_work()) publish();
-  ages_.end(turn_.timer != nullptr, now());
+  ages_.end(turn_.timer || turn_.item.kind == Item::Kind::answer, now());
   if (turn_.timer) turn_.timer->end(turn_.release, turn_.began, now());
   end_turn();
 }
@@ -231,11 +257,14 @@ void Executor::publish() {
   if (turn_.timer || item.kind != Item::Kind::call) return;
   const Call& call = item.call;
   Stamps stamps = ages_.stamps(item.connector->answers, now());
+  const Connector& over = *item.connector;
   if (!call.back)
-    call.caller->end_call(call.number, &stamps);
+    call.caller->end_call(call.number, over, &stamps);
   else
-    call.back->send(call.size, [caller = call.caller, number = call.number,
-                                stamps = std::move(stamps)] { caller->end_call(number, &stamps); });
+    call.back->send(call.size, [caller = call.caller, number = call.number, &over,
+                                stamps = std::move(stamps)] {
+      caller->end_call(number, over, &stamps);
+    });
 }
 
 void Executor::end_turn() {

@@ -1,7 +1,8 @@
 // Runs the handlers of one incarnation of a component: its mailbox, its timers, its turns.
 //
 // A turn is one run of a handler: it takes its data, calls others and waits for their
-// answers, works, and sends what comes of it. One turn runs at a time.
+// answers, works, and sends what comes of it. One turn runs at a time. The answer of a call
+// that was only started is taken in another turn.
 #pragma once
 
 #include <deque>
@@ -73,10 +74,8 @@ class Executor {
   bool is_overtaken(const Connector& connector);
   void forget_source(const Connector& connector);
 
-  // Begin a call, and return its number.
-  std::uint64_t begin_call();
   // Go on, unless the call is over: with the stamps of the answer; none: it was late.
-  void end_call(std::uint64_t number, const Stamps* answer);
+  void end_call(std::uint64_t number, const Connector& over, const Stamps* answer);
 
   Timers& timers() { return timers_; }
   DataAges& ages() { return ages_; }
@@ -95,7 +94,7 @@ class Executor {
     Timer* timer;
     Item item;
     double release, began, cost;
-    std::vector<Sender*> to_call;
+    std::vector<std::vector<Sender*>> to_call;  // those of one entry at once
   };
 
   double now() const;
@@ -107,6 +106,7 @@ class Executor {
   void on_due(double due);
   void begin_turn(Turn turn);
   void call_next();
+  void begin_wait();
   void begin_work();
   void finish_work();
   void publish();
@@ -127,9 +127,10 @@ class Executor {
   std::unordered_map<const Slot*, std::size_t> waiting_;  // messages in it
   std::unordered_map<int, std::uint64_t> markers_;
   std::unordered_map<int, int> latest_;  // connector -> the latest epoch that has sent
-  bool is_busy_ = false, is_calling_ = false;
+  bool is_busy_ = false;
   Turn turn_{};
   std::uint64_t call_ = 0;
+  std::vector<std::uint64_t> open_;  // calls whose answers its turn waits for
   double due_at_;
   Action when_idle_;
   double cpu_ = 0.0;

@@ -23,8 +23,10 @@ struct Output {
 // What one run of a handler costs and does, as poise.simulation.component_models says.
 struct Handler {
   double work, spread;
+  double waiting, wait, wait_spread;  // how many wait for what is no CPU; the median [s]
   std::optional<std::vector<Output>> publishes;  // none: one message over each connector
-  std::vector<Output> calls;
+  // It waits for each call; for those that it starts at once; for none.
+  std::vector<Output> calls, joined, started;
 };
 
 struct TimerModel {
@@ -39,6 +41,7 @@ struct Model {
   std::vector<TimerModel> timers;
   std::unordered_map<Slot*, Handler> takes, serves;  // messages and calls over a slot
   Handler other;                                     // and over all others
+  std::optional<Handler> answer;  // of a started call: what takes it in a turn of its own
   std::vector<double> factors;  // how much dearer handlers are in each second
   std::unordered_map<Slot*, std::size_t> keep;  // messages that wait over a slot at most
   std::size_t keep_other;
@@ -68,8 +71,8 @@ struct Connector {
   mutable Executor* known = nullptr;  // the target that was found last
 };
 
-// The way of an answer: to the executor whose call has this number. `back`: over this
-// connection; none: it is in the same container.
+// The way of an answer: to the executor whose call has this number, 0: one that was
+// started. `back`: over this connection; none: it is in the same container.
 class Stream;
 struct Call {
   Executor* caller;
@@ -79,9 +82,9 @@ struct Call {
 };
 
 // What goes over a connector: a message, a call, or the marker of a migration. `number` is
-// a message's or a migration's.
+// a message's or a migration's. An answer to a started call waits for its turn.
 struct Item {
-  enum class Kind { message, call, marker };
+  enum class Kind { message, call, marker, answer };
 
   Kind kind;
   std::uint64_t number = 0;

@@ -102,8 +102,11 @@ ComponentKey key_of(Engine& engine, const ComponentName& component) {
 }
 
 Handler make_handler(Engine& engine, double work, double spread,
-                     const std::optional<Rates>& publishes, const Rates& calls) {
-  Handler handler{work, spread, {}, outputs(engine, calls)};
+                     const std::optional<Rates>& publishes, const Rates& calls, double waiting,
+                     double wait, double wait_spread, const Rates& joined,
+                     const Rates& started) {
+  Handler handler{work, spread, waiting, wait, wait_spread, {}, outputs(engine, calls),
+                  outputs(engine, joined), outputs(engine, started)};
   if (publishes) handler.publishes = outputs(engine, *publishes);
   return handler;
 }
@@ -111,9 +114,10 @@ Handler make_handler(Engine& engine, double work, double spread,
 const Model& make_model(Engine& engine, const std::vector<TimerRecord>& timers,
                         const Handlers& takes, const Handlers& serves, const Handler& other,
                         std::vector<double> factors, const std::map<std::string, std::size_t>& keep,
-                        std::size_t keep_other, double release_offset) {
-  Model model{{}, by_slot(engine, takes), by_slot(engine, serves), other, std::move(factors), {},
-              keep_other, release_offset};
+                        std::size_t keep_other, double release_offset,
+                        const std::optional<Handler>& answer) {
+  Model model{{}, by_slot(engine, takes), by_slot(engine, serves), other, answer,
+              std::move(factors), {}, keep_other, release_offset};
   for (const auto& [name, period, deadline, handler] : timers)
     model.timers.push_back({name, period, deadline, handler});
   for (const auto& [slot, most] : keep) model.keep[&engine.ledger.slot(slot)] = most;
@@ -303,9 +307,11 @@ void bind_engine(nb::module_& module) {
         return engine.cpus.emplace_back(engine.events, cores, speed, is_emulated);
       }, "cores"_a, "speed"_a = 1.0, nb::kw_only(), "is_emulated"_a = false, inside)
       .def("handler", &make_handler, "work"_a, "spread"_a = 0.0,
-           "publishes"_a.none() = nb::tuple(), "calls"_a = nb::tuple())
+           "publishes"_a.none() = nb::tuple(), "calls"_a = nb::tuple(), nb::kw_only(),
+           "waiting"_a = 0.0, "wait"_a = 0.0, "wait_spread"_a = 0.0, "joined"_a = nb::tuple(),
+           "started"_a = nb::tuple())
       .def("model", &make_model, "timers"_a, "takes"_a, "serves"_a, "other"_a, "factors"_a,
-           "keep"_a, "keep_other"_a, "release_offset"_a = 0.0, inside)
+           "keep"_a, "keep_other"_a, "release_offset"_a = 0.0, "answer"_a.none() = nb::none(), inside)
       .def("connector", &make_connector, nb::kw_only(), "name"_a, "key"_a, "slot"_a, "source"_a,
            "target"_a, "computer"_a, "is_direct"_a, "limit"_a, "size"_a, "costs"_a, "carries"_a,
            "answers"_a, inside)

@@ -11,12 +11,13 @@ void Sender::publish(Executor& source) {
   put({Item::Kind::message, ++connector_->slot->sent, stamps(source)});
 }
 
-void Sender::call(Executor& source) {
+void Sender::call(Executor& source, std::uint64_t number) {
   ++calls_;
   Events& events = container_.engine().events;
-  const std::uint64_t number = source.begin_call();
-  events.at(events.now() + connector_->limit,
-            [&source, number] { source.end_call(number, nullptr); });
+  if (number)
+    events.at(events.now() + connector_->limit, [&source, number, over = connector_] {
+      source.end_call(number, *over, nullptr);
+    });
   put({Item::Kind::call, 0, stamps(source), {&source, number}});
 }
 

@@ -27,8 +27,9 @@ class Sender {
 
   // Send a message, or buffer it.
   void publish(Executor& source);
-  // Call the target; the source goes on when it has answered, or its limit has passed.
-  void call(Executor& source);
+  // Call the target; the source goes on when it has answered, or its limit has passed;
+  // with number 0 at once.
+  void call(Executor& source, std::uint64_t number);
   // Send the marker of a migration behind all messages.
   void mark(std::uint64_t migration) { send({Item::Kind::marker, migration}); }
   // Send no message until `redirect`.

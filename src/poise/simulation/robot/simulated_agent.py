@@ -212,7 +212,7 @@ class SimulatedAgent:
             usage=lambda: self._sampler.usage,
             cpu=lambda: self._sampler.cpu,
             gateway=f"{self._setup.address}:7448",
-            gateway_trouble=str,
+            trouble=str,
             pid=process.pid,
             key=f"{process.random.getrandbits(128):032x}",
         )

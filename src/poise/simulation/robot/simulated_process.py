@@ -73,10 +73,10 @@ class SimulatedComputer:
         """Return the wall clock [s since 1970]."""
         return self.EPOCH + self.scheduler.now * self._rate + self.wall_ahead
 
-    def start(self, name: str, parent: Process | None = None) -> Process:
+    def start(self, name: str) -> Process:
         """Start a process; it has no task yet, and waits while all is suspended."""
         pid = FIRST_PID + self.scheduler.number()
-        process = Process(self, f"{self.name}/{name}", pid, parent)
+        process = Process(self, f"{self.name}/{name}", pid)
         self.processes[pid] = process
         if self._suspended_at is not None:
             process.pause()
@@ -112,14 +112,11 @@ class Process:
     `on_pause`: called when it is paused, or goes on, with whether it is.
     """
 
-    def __init__(
-        self, computer: SimulatedComputer, name: str, pid: int, parent: Process | None
-    ) -> None:
+    def __init__(self, computer: SimulatedComputer, name: str, pid: int) -> None:
         self.computer = computer
         self.scheduler = computer.scheduler
         self.name = name
         self.pid = pid
-        self.parent = parent
         self.is_dead = False
         self.died_at = inf
         self.is_paused = False

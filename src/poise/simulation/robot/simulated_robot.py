@@ -13,7 +13,7 @@ from poise.errors import PoiseError, TakenOver
 from poise.estimate.demands import kinds_together
 from poise.estimate.profiles import Profile
 from poise.manage.agent_connections.agents import Agents
-from poise.manage.control_socket.commands import Command, Refusal, Result, RobotStatus
+from poise.manage.control_socket.commands import Command, Refusal, Result
 from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.deploy.takeover import start_or_take_over
 from poise.manage.journal import Journal, JournalEntry
@@ -99,15 +99,6 @@ class SimulatedManager:
         self._takes_over = take_over
         self._is_standby = is_standby
         process.spawn("manager", self._main)
-
-    def ask_status(self, on_result: Callable[[RobotStatus], object]) -> None:
-        """Let a client ask for the status; nobody answers while it is not up."""
-
-        def answer() -> None:
-            if self.manager is not None:
-                on_result(self.manager.status())
-
-        self.process.spawn("client status", answer)
 
     def ask(
         self, command: Command, on_result: Callable[[Result | Refusal], object]

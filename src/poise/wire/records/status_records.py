@@ -150,9 +150,11 @@ class ComponentStatus(Struct, frozen=True, kw_only=True):
     # Of the latter, those that keep only the newest messages, and how many
     keeps: Mapping[str, int] = {}
     timers: tuple[TimerStatus, ...] = ()
-    # Timer, or port at which messages come -> the CPU time of its runs [s]; measured
-    # only for a profile
+    # Timer, port at which messages come, or connector over which another container
+    # calls -> the CPU time of its runs [s]; measured only for a profile
     work: Mapping[str, Summary] = {}
+    # The same -> for how long runs waited beyond their calls, those that did [s]
+    waits: Mapping[str, Summary] = {}
     # Those that it is part of, and not the beginning
     chains: tuple[ChainStatus, ...] = ()
     ends: tuple[ActionEnd, ...] = ()  # What it said of its actions
@@ -267,6 +269,9 @@ class AgentStatus(Struct, frozen=True, kw_only=True, dict=True):
     errors: tuple[ErrorCount, ...] = ()
     # Its machine, Python and C library, as in ``aarch64 3.11 2.36``
     platform: str = ""
+    # What it has: cores that it may use, and memory [bytes]; 0: not known
+    cores: float = 0.0
+    computer_memory: int = 0
     code: tuple[str, ...] = ()  # The versions of code that are there, the last first
     # What gives containers their CPU weights: ``cgroup v2``, ``cgroup v1`` or ``nice``;
     # empty: all have the same
