@@ -6,6 +6,7 @@ import errno
 import os
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -99,3 +100,15 @@ def test_a_failure_is_shown_with_its_thread() -> None:
     assert "in container 'see' the thread 'flush' failed: KeyError('a bug')" in trouble
     # not that of a component: a thread which it starts writes as its container
     assert "(`poise log` has the traceback)" in trouble
+
+
+def test_long_names_are_told_apart_by_the_kernel() -> None:
+    found: list[str] = []
+
+    def look(name: str) -> None:
+        threads.take_name(name)
+        found.append(Path("/proc/thread-self/comm").read_text().strip())
+
+    for name in ("eye", "object_detector_1", "object_detector_2"):
+        run(threads.daemon(look, "look", name))
+    assert found == ["eye", "object_~ector_1", "object_~ector_2"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import time
 from collections.abc import Iterable, Iterator, Sequence
@@ -176,6 +177,19 @@ class Processes:
         found = stat_of(self._proc / str(pid))
         return found is not None and found.is_stopped
 
+    def tracer(self, pid: int) -> int:
+        """Return the process that debugs a process; 0: none does."""
+        with contextlib.suppress(OSError, ValueError, KeyError):
+            text = (self._proc / str(pid) / "status").read_text()
+            fields = dict(line.partition(":")[::2] for line in text.splitlines())
+            return int(fields["TracerPid"])
+        return 0
+
+    def has_ended(self, pid: int) -> bool:
+        """Return whether a process has ended, also if its parent has not asked yet."""
+        found = stat_of(self._proc / str(pid))
+        return found is None or found.state == "Z"
+
     def has_one_that_goes_on(self, pid: int) -> bool:
         """Return whether a thread is runnable, or waits for a disk or for memory."""
         threads = map(stat_of, (self._proc / str(pid) / "task").glob("*"))
@@ -253,6 +267,10 @@ class ComputerMemory:
         """Return the nearest limit; None when nothing is known."""
         return min(self._rooms(), key=lambda room: room.free, default=None)
 
+    def size(self) -> int:
+        """Return the least of the limits [bytes]; 0 when none is known."""
+        return int(min((room.limit for room in self._rooms()), default=0.0))
+
     def _rooms(self) -> Iterator[MemoryRoom]:
         with contextlib.suppress(OSError, ValueError, KeyError):
             amounts = table(self._meminfo.read_text())
@@ -268,6 +286,29 @@ class ComputerMemory:
                     used = int((group / use).read_text())
                     cached = table((group / "memory.stat").read_text()).get(cache, 0)
                     yield MemoryRoom(limit, max(0.0, limit - used + cached))
+
+
+def cores_of_computer(proc: Path = Path("/proc")) -> float:
+    """Return how many cores this process may use: its CPUs, and its cgroups' quotas."""
+    found = [float(len(os.sched_getaffinity(0)))]
+    with contextlib.suppress(OSError):
+        for mount in mounts(proc / "self/mountinfo", proc / "self/cgroup"):
+            above = [p for p in mount.own.parents if p.is_relative_to(mount.top)]
+            found += [_quota(group) for group in (mount.own, *above)]
+    return min(found)
+
+
+def _quota(group: Path) -> float:
+    """Return how many cores a cgroup may use; endless: all."""
+    with contextlib.suppress(OSError, ValueError):
+        quota, period = (group / "cpu.max").read_text().split()
+        return int(quota) / int(period)  # "max" is no number
+    with contextlib.suppress(OSError, ValueError):
+        quota = (group / "cpu.cfs_quota_us").read_text()
+        period = (group / "cpu.cfs_period_us").read_text()
+        if int(quota) > 0:  # -1: there is none
+            return int(quota) / int(period)
+    return math.inf
 
 
 def table(text: str) -> dict[str, int]:

@@ -6,10 +6,13 @@ import atexit
 import contextlib
 import errno
 import logging
+import os
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
+from threading import get_native_id
 
 from poise.errors import RunError
 
@@ -18,12 +21,17 @@ log = logging.getLogger(__name__)
 PROCESS_LIMIT = (
     "the limit of processes (`ulimit -u`, TasksMax of a service, pids.max of a cgroup)"
 )
+NO_THREAD = (
+    f"no thread can be started: raise {PROCESS_LIMIT}, or that of memory (`ulimit -v`)"
+)
 _REMEDIES = {
     errno.EAGAIN: f"raise {PROCESS_LIMIT}",
     errno.EMFILE: "raise the limit of open files (`ulimit -n`)",
     errno.EFBIG: "raise the limit of a file's size (`ulimit -f`), best to unlimited",
     errno.ENOMEM: "no memory is free: give its computer more",
 }
+_NAME_LIMIT = 15
+"""The kernel keeps so much of a thread's name [bytes]."""
 SHOWN_FOR = 60.0
 """A failure is shown for this time [s]."""
 
@@ -67,23 +75,28 @@ def _hook(
     return hook
 
 
+def is_lack_of_threads(error: BaseException) -> bool:
+    """Return whether no thread was free: Python has no class for this error."""
+    return isinstance(error, RuntimeError) and str(error) == "can't start new thread"
+
+
 def explained(error: Exception) -> Exception:
     """Return a RunError with a way out where no thread is free; else the error itself.
 
-    Python has no class of its own for this error, which any library may raise.
+    Any library may raise this error.
     """
-    if not isinstance(error, RuntimeError) or str(error) != "can't start new thread":
-        return error
-    return RunError(
-        f"no thread can be started: raise {PROCESS_LIMIT}, or that of memory "
-        "(`ulimit -v`)"
-    )
+    return RunError(NO_THREAD) if is_lack_of_threads(error) else error
 
 
 def without_process(error: OSError) -> str:
     """Return why a process cannot be started, and a way out, for people."""
+    return f"cannot be started: {error.strerror or error}{remedy_of(error)}"
+
+
+def remedy_of(error: OSError) -> str:
+    """Return which limit to raise, after a colon; empty: none is known."""
     remedy = _REMEDIES.get(error.errno or 0, "")
-    return f"cannot be started: {error.strerror or error}{remedy and ': '}{remedy}"
+    return f": {remedy}" if remedy else ""
 
 
 class Failures:
@@ -108,9 +121,32 @@ def daemon(
     work: Callable[..., object], name: str, *args: object, again: bool = False
 ) -> threading.Thread:
     """Return a thread that ends with the process; `again`: its work is repeated."""
-    target = keep_at if again else work
-    given = (work, *args) if again else args
-    return threading.Thread(target=target, name=name, args=given, daemon=True)
+    target = (keep_at, work) if again else (work,)
+    given = (name, *target, *args)
+    return threading.Thread(target=_named, name=name, args=given, daemon=True)
+
+
+def take_name(name: str) -> None:
+    """Give this thread a name for the kernel, too, which what it starts inherits.
+
+    The main thread keeps its own: it is the process's. Long names differ at either end.
+    """
+    short = name.encode()
+    if len(short) > _NAME_LIMIT:
+        short = short[: _NAME_LIMIT // 2] + b"~" + short[-(_NAME_LIMIT // 2) :]
+    if get_native_id() != os.getpid():
+        with contextlib.suppress(OSError):
+            Path("/proc/thread-self/comm").write_bytes(short)
+
+
+def take_poise_name(name: str) -> None:
+    """Give this thread a name that no component has."""
+    take_name(f"poise {name}")
+
+
+def _named(name: str, work: Callable[..., object], *args: object) -> None:
+    take_poise_name(name)
+    work(*args)
 
 
 _LAST_WAIT = 15.0

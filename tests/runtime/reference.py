@@ -181,7 +181,7 @@ class Histogram:
         self._counts: dict[int, int] = {}
         self._num = 0
         self._sum = 0.0
-        self._maximum = 0.0
+        self._minimum, self._maximum = math.inf, 0.0
 
     def add(self, value: float) -> None:
         value = value if value > 0 else 0.0
@@ -190,6 +190,7 @@ class Histogram:
         self._counts[bucket] = self._counts.get(bucket, 0) + 1
         self._num += 1
         self._sum += value
+        self._minimum = min(self._minimum, value)
         self._maximum = max(self._maximum, value)
 
     def summary(self) -> Summary:
@@ -206,5 +207,6 @@ class Histogram:
         for bucket in sorted(self._counts):
             seen += self._counts[bucket]
             if seen >= share * self._num:
-                return min(float(2 ** ((bucket - 0.5) / 8)), self._maximum)
+                middle = float(2 ** ((bucket - 0.5) / 8))
+                return min(max(middle, self._minimum), self._maximum)
         return self._maximum

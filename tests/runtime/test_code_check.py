@@ -8,7 +8,8 @@ import pytest
 
 from poise.errors import FileProblem
 from poise.model.loading import load_source
-from poise.runtime.code_check import check_code
+from poise.model.robot import ComponentEntry
+from poise.runtime.code_check import check_code, code_of
 
 CODE = """
 from poise import (
@@ -513,3 +514,64 @@ def test_a_policys_function_can_be_called(
     findings = check_code(load_source(file).robot)
     assert [f.path for f in findings] == [("policies", "mine", "call")] * bool(message)
     assert all(message in finding.message for finding in findings)
+
+
+STARTING = """
+from poise import Component, Message, Published, Required, StartedCall, every
+
+class Pose(Message):
+    x: float
+
+class Poses:
+    def pose(self, at: float) -> Pose: ...
+
+class Starting(Component):
+    left: Required[Poses]
+    right: Required[Poses]
+    both: Required[Poses]
+    told: Published[Pose]
+    found: Published[Pose]
+
+    @every(0.1)
+    def go_on(self) -> None:
+        self.start_call(self.left.pose, 1.0).then(self.take)
+        self.start_call(self.right.pose, 1.0).then(lambda call: self.take(call))
+        self.both.pose(1.0)
+        self.start_call(self.both.pose, 2.0)
+        self.told.publish(Pose(1.0))
+
+    @every(0.1)
+    def wait(self) -> None:
+        first = self.start_call(self.left.pose, 1.0)
+        second = self.start_call(self.right.pose, 1.0)
+        self.told.publish(Pose(first.result().x + second.result().x))
+
+    @every(0.1)
+    def look(self) -> None:
+        if self.asked.done():
+            self.found.publish(self.asked.result())
+        self.asked = self.start_call(self.left.pose, 1.0)
+
+    def take(self, call: StartedCall[Pose]) -> None:
+        self.found.publish(call.result())
+"""
+
+
+def test_the_code_says_which_calls_it_starts_and_whether_it_waits_for_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "starting_parts.py").write_text(STARTING)
+    monkeypatch.syspath_prepend(tmp_path)
+    entry = ComponentEntry(name="one", implementation="starting_parts:Starting")
+    code = code_of(entry, str(tmp_path))
+    assert code.sends == {
+        "go_on": ("both", "left", "right", "told"),
+        "wait": ("left", "right", "told"),
+        "look": ("found", "left"),
+        "answer": ("found",),
+    }
+    assert code.starts == {
+        "go_on": {"left": False, "right": False},
+        "wait": {"left": True, "right": True},
+        "look": {"left": False},
+    }

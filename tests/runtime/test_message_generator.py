@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import datetime as dt
 import enum
 import random
 from typing import Any, Literal
@@ -50,7 +51,7 @@ class Numbers(Message):
 
 
 class Odd(Message):
-    inside: complex
+    inside: dt.datetime
 
 
 def size(value: Message) -> int:
@@ -102,5 +103,5 @@ def test_says_so_of_a_message_that_has_itself_inside() -> None:
 
 
 def test_says_what_nothing_can_be_made_up_for() -> None:
-    with pytest.raises(UsageError, match=r"Odd\.inside .*complex.* `message`"):
+    with pytest.raises(UsageError, match=r"Odd\.inside .*datetime.* `message`"):
         maker(Odd)

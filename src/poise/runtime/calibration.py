@@ -38,13 +38,13 @@ class EchoCall:
         raise NotImplementedError
 
 
-def score(seconds: float = _PIECE) -> float:
+def score() -> float:
     """Return how much work of a fixed kind a CPU second does here [loops/s].
 
     Other processes make loops slower, by the caches and cores that they share, but
     seldom all of them: the quickest tenth counts, without the one that was lucky.
     """
-    times = sorted(_loop_times(time.thread_time() + seconds))
+    times = sorted(_loop_times(time.thread_time() + _PIECE))
     return 1 / times[len(times) // 10]
 
 

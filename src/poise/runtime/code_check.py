@@ -7,6 +7,7 @@ another child checks the others.
 
 from __future__ import annotations
 
+import dis
 import inspect
 import operator
 import os
@@ -18,6 +19,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from collections.abc import Set as AbstractSet
 from contextlib import suppress
 from tempfile import TemporaryFile
+from types import CodeType
 from typing import Any
 
 import msgspec
@@ -52,6 +54,7 @@ from poise.runtime.component.ports import (
     ports_of,
     timers_of,
 )
+from poise.runtime.component.started_calls import ANSWER
 from poise.runtime.connectors.interface import methods
 from poise.runtime.hosting.command_line import die_with_parent
 from poise.runtime.migration.state_check import check_state
@@ -130,6 +133,12 @@ def code_of(entry: ComponentEntry, folder: str) -> ComponentCode:
         if port.kind in {"subscribes", "provides"}
     }
     out = {n for n, port in ports.items() if port.kind in {"publishes", "requires"}}
+    uses = {name: _Uses(code, out, methods) for name, methods in handlers.items()}
+    if callbacks := [each for use in uses.values() for each in use.callbacks]:
+        callbacks += handlers.get(ANSWER, ())
+        uses[ANSWER] = answers = _Uses(code, out, callbacks)
+        for each in answers.callbacks:
+            answers.add(each)
     return ComponentCode(
         timers=tuple(
             CodeTimer(timer.name, timer.period, timer.deadline)
@@ -140,26 +149,68 @@ def code_of(entry: ComponentEntry, folder: str) -> ComponentCode:
             for name, port in ports.items()
             if port.queue and port.queue.policy == "keep"
         },
-        sends={
-            name: tuple(sorted(out & _names_in(code, methods)))
-            for name, methods in handlers.items()
-        },
+        sends={name: tuple(sorted(use.ports)) for name, use in uses.items()},
+        starts={name: use.started() for name, use in uses.items() if use.started()},
         ports={name: port.kind for name, port in ports.items()},
     )
 
 
-def _names_in(code: type[Component], methods: Iterable[str]) -> set[str]:
-    """Return the names that methods use, and those of the class that they call."""
-    names, left = set[str](), [*methods]
-    while left:
-        method = inspect.unwrap(getattr(code, left.pop(), None) or _nothing)
-        codes = [method.__code__] if inspect.isfunction(method) else []
-        for part in codes:  # with what it defines: it grows meanwhile
-            codes += filter(inspect.iscode, part.co_consts)
-            new = set(part.co_names) - names
-            names |= new
-            left += [name for name in new if callable(getattr(code, name, None))]
-    return names
+class _Uses:
+    """The ports that methods use, and how, with the methods that they call.
+
+    `callbacks`: the methods and functions that take the answers of calls they start.
+    """
+
+    def __init__(
+        self,
+        code: type[Component],
+        out: AbstractSet[str],
+        methods: Iterable[str | CodeType],
+    ) -> None:
+        self._code, self._out = code, out
+        self.ports, self.callbacks = set[str](), list[str | CodeType]()
+        self._called, self._waits = set[str](), dict[str, bool]()
+        self._seen = set[str | CodeType]()
+        for method in methods:
+            self.add(method)
+
+    def add(self, method: str | CodeType) -> None:
+        """Add what a method or function uses, and those that it defines or calls."""
+        if method in self._seen:
+            return
+        self._seen.add(method)
+        if isinstance(method, str):
+            found = inspect.unwrap(getattr(self._code, method, None) or _nothing)
+            if inspect.isfunction(found):
+                self.add(found.__code__)
+            return
+        names = [
+            each.argval
+            for each in dis.get_instructions(method)
+            if each.opcode in dis.hasname or inspect.iscode(each.argval)
+        ]
+        waits = "result" in names and "done" not in names
+        before = ""
+        for name in names:
+            if name in {"start_call", "then"}:
+                before = name
+            elif name in self._out:
+                self.ports.add(name)
+                if before == "start_call":
+                    self._waits[name] = self._waits.get(name, False) or waits
+                else:
+                    self._called.add(name)
+                before = ""
+            elif inspect.iscode(name) or callable(getattr(self._code, name, None)):
+                if before == "then":
+                    self.callbacks.append(name)
+                else:
+                    self.add(name)
+                before = ""
+
+    def started(self) -> dict[str, bool]:
+        """Return the ports of which they only start calls -> whether they wait."""
+        return {n: w for n, w in self._waits.items() if n not in self._called}
 
 
 def _nothing() -> None:
@@ -198,7 +249,8 @@ def _import_finding(same: Sequence[_BrokenImport]) -> Finding:
     path, name, error = same[0]
     others = ", ".join(f"'{other}'" for _, other, _ in same[1:])
     of = f" (component '{name}', and for the same reason {others})" if others else ""
-    return Finding((*path, "implementation"), f"{error}{of}")
+    what, newline, lines = str(error).partition("\n")
+    return Finding((*path, "implementation"), f"{what}{of}{newline}{lines}")
 
 
 class _WrongCode(Exception):

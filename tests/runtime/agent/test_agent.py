@@ -840,6 +840,21 @@ def test_ends_in_order_when_asked(doomed: Manager, sent: signal.Signals) -> None
     assert not list(doomed.folder.glob("*.sock"))
 
 
+def test_a_stopped_zygote_is_named_with_what_lets_it_go_on(manager: Manager) -> None:
+    manager.deploy("quiet")
+    before = manager.wait_active("quiet").pid
+    (zygote,) = children_of(manager.process.pid)
+    os.kill(zygote, signal.SIGSTOP)
+    os.kill(before, signal.SIGKILL)
+    status = manager.wait_for(lambda status: "is stopped" in status.trouble)
+    assert f"`kill -CONT {zygote}` lets it go on" in status.trouble
+    os.kill(zygote, signal.SIGCONT)
+    manager.wait_active("quiet", but_not=before)
+    status = manager.wait_for(lambda status: not status.trouble)
+    messages = [fault.message for fault in manager.faults(status)]
+    assert not any("GIL" in message for message in messages), messages
+
+
 def test_without_its_zygote_what_runs_goes_on_and_the_status_says_so(
     doomed: Manager,
 ) -> None:

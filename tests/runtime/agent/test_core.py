@@ -220,7 +220,7 @@ class World:
             usage=dict,
             cpu=lambda: 0.0,
             gateway="10.0.0.1:7000",
-            gateway_trouble=str,
+            trouble=str,
             pid=1,
             key="start",
         )
@@ -448,6 +448,10 @@ def test_without_starts_what_runs_goes_on_and_the_status_says_so() -> None:
     assert "the zygote is gone" in world.status.trouble
     assert [each.name for each in world.status.containers] == ["act"]
     assert not world.host.processes["act"].signals
+    world.deploy("see", "act", "new")  # the policy `cannot-start` goes by the reason
+    reasons = {each.name: each.reason for each in world.status.health}
+    why = "cannot be started: the zygote is gone"
+    assert reasons == {"see": why, "act": "", "new": why}
 
 
 def test_the_end_asks_first_and_kills_what_does_not_end() -> None:

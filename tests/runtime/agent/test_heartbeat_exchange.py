@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from math import inf
+from random import Random
+from unittest.mock import Mock
 
 import pytest
 from msgspec import structs
 
 from poise.runtime.agent.fence import Fence
 from poise.runtime.agent.heartbeat_exchange import HeartbeatExchange
+from poise.runtime.agent.standby_watch import StandbyWatch
 from poise.testing import VirtualClock
 from poise.wire.heartbeats import LEASE, UNCUT_LEASE, Address, Contacts, Hear, NextBeat
 from poise.wire.records.heartbeat_records import MANAGER as THE_MANAGER
@@ -351,3 +354,28 @@ def test_a_majority_has_reached_what_most_votes_have() -> None:
     assert majority_at(VOTES, {"left": 3.0, "right": 2.0, "far": 1.0}) == 2.0
     assert majority_at(VOTES, {"left": 3.0}) == -inf
     assert majority_at({"left": 2, "right": 1}, {"left": 3.0}) == 3.0
+
+
+def test_a_standby_waits_while_no_majority_would_confirm_it(rig: Rig) -> None:
+    """Where UDP was blocked, standbys claimed the robot from each other without end."""
+    world = Mock(clock=rig.clock, random=Random(1))
+    watch = StandbyWatch("left", rig.exchange, rig.fence, world)
+    election = Election(votes=VOTES, managers=("left",))
+    claim = Claim(MANAGER, agents=THREE, is_leased=True, election=election)
+    rig.exchange.obey(claim)
+
+    def look(number: int, *heard_from: str) -> None:
+        for sender in heard_from:
+            heard(rig, number, sender)
+        rig.clock.sleep(0.1)
+        watch.look(is_over=False)
+
+    for number in range(50):
+        look(number)
+    world.standby.lead.assert_not_called()
+    assert "not answered by far, right (does a firewall" in watch.trouble
+    assert world.say.call_count == 1
+    for number in range(50, 80):
+        look(number, "far")
+    world.standby.lead.assert_called()
+    assert not watch.trouble

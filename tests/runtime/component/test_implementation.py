@@ -90,6 +90,7 @@ def test_what_is_no_class_is_refused(package: Path) -> None:
         ("import not_there_at_all\n", ["No module named 'not_there_at_all'", "line 1"]),
         ("import sys\nsys.exit(3)\n", ["SystemExit: 3", "line 2"]),
         ("def f(:\n", ["SyntaxError", "nav.py"]),
+        ("import poise\npoise.every(freq=1)\n", ["takes 'period', 'hz', 'deadline'"]),
     ],
 )
 def test_what_a_module_raises_is_told_with_its_traceback(

@@ -342,6 +342,15 @@ def test_the_type_of_a_port_is_not_assigned() -> None:
         ports_of(Assigned)
 
 
+@pytest.mark.parametrize("kind", ["Published", "Provided", "Required"])
+def test_a_port_says_its_type(kind: str) -> None:
+    """`poise check` said that the component had no such port."""
+    hint = {"Published": Published, "Provided": Provided, "Required": Required}[kind]
+    bare = type("Bare", (Component,), {"__annotations__": {"pose": hint}})
+    with pytest.raises(UsageError, match=rf"Bare.pose .*`pose: {kind}\[Type\]`"):
+        ports_of(bare)
+
+
 def test_parameters_have_a_type_that_values_are_checked_against() -> None:
     class Pilot(Component):
         parameters: Gains

@@ -203,3 +203,20 @@ def test_a_method_of_the_component_itself_is_refused() -> None:
     heater = create(Heater, context)
     with pytest.raises(poise.UsageError, match="not a method of the component itself"):
         heater.start_call(heater.heat)
+
+
+def test_what_calls_take_is_counted_also_if_they_fail(component: Component) -> None:
+    """On another thread: their component's own has nothing to do with it."""
+
+    def compute() -> None:
+        end = time.thread_time() + 0.05
+        while time.thread_time() < end:
+            pass
+        raise Timeout("too late")
+
+    began = time.thread_time()
+    with pytest.raises(Timeout, match="too late"):
+        component.calls.start(compute).result()
+    assert time.thread_time() - began < 0.04
+    assert component.calls.counts.cpu == pytest.approx(0.05, rel=0.2)
+    assert component.calls.awaited > 0.04

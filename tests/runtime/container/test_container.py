@@ -138,7 +138,7 @@ class Idle(Component):
 
 
 @pytest.mark.parametrize("threads_left", [0, 1])
-def test_a_component_without_a_thread_fails_and_the_others_go_on(
+def test_a_component_without_a_thread_fails_and_starts_when_one_is_free(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, threads_left: int
 ) -> None:
     agent, ours = socket.socketpair()
@@ -162,9 +162,17 @@ def test_a_component_without_a_thread_fails_and_the_others_go_on(
         container._apply(container._wanted)
         wait_until(container._settle)
         (status,) = container._status().components
+        left += [None] * 2
+        container._start_again()
+        wait_until(container._settle)
+        (runner,) = container._runners.values()
+        assert runner.life_cycle.wait_state({"active"}, 10.0) == "active"
+        assert not container._broken
+        runner.aim("finalized")
+        wait_until(runner.has_ended)
         container._server.close()
     assert status.state == "failed"
-    assert "can't start new thread" in status.error
+    assert "no thread can be started: raise the limit" in status.error
 
 
 RUN = """

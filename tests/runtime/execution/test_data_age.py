@@ -45,14 +45,25 @@ def test_data_beyond_its_deadline_is_counted(clock: VirtualClock) -> None:
     assert ages.status()[0].missed == 1
 
 
+def test_what_an_answer_brought_is_used_in_its_turn(clock: VirtualClock) -> None:
+    """What a run took before is no part of it."""
+    ages = DataAges([LAST], clock)
+    ages.run(clock.sleep, [0.0], taken=came(99.0))
+    ages.note(["c"], [99.98])  # on the thread of the call
+    ages.run(clock.sleep, [0.0], is_later=True)
+    (status,) = ages.status()
+    assert (status.age.count, status.missed) == (2, 1)
+    assert status.age.mean == pytest.approx((1.0 + 0.02) / 2)
+
+
 def test_a_timer_uses_what_came_last_again_and_again(clock: VirtualClock) -> None:
     ages = DataAges([LAST], clock)
-    ages.run(clock.sleep, [0.0], is_timer=True)
+    ages.run(clock.sleep, [0.0], is_later=True)
     assert ages.status()[0].age.count == 0  # nothing came yet
     ages.run(clock.sleep, [0.0], taken=came(99.99))
     for _ in range(2):
         clock.sleep(0.1)
-        ages.run(clock.sleep, [0.0], is_timer=True)
+        ages.run(clock.sleep, [0.0], is_later=True)
     (status,) = ages.status()
     assert (status.age.count, status.missed) == (3, 2)
     assert status.age.maximum == pytest.approx(0.21)
@@ -112,7 +123,7 @@ def test_a_successor_goes_on_with_what_came_last(clock: VirtualClock) -> None:
     old, new = DataAges([LAST], clock), DataAges([LAST], clock)
     old.run(clock.sleep, [0.0], taken=came(99.0))
     new.restore(old.held())
-    new.run(clock.sleep, [0.0], is_timer=True)
+    new.run(clock.sleep, [0.0], is_later=True)
     assert new.status()[0].age.maximum == pytest.approx(1.0)
 
 

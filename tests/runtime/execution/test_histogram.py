@@ -38,6 +38,15 @@ def test_its_quantiles_are_right_within_five_percent(values: list[float]) -> Non
     assert histogram.summary().median == pytest.approx(exact, rel=0.05)
 
 
+@given(st.floats(1e-8, 1e6), st.integers(1, 9))
+def test_equal_values_are_their_own_quantiles(value: float, count: int) -> None:
+    histogram = Histogram()
+    for _ in range(count):
+        histogram.add(value)
+    summary = histogram.summary()
+    assert (summary.median, summary.p99) == (value, value)
+
+
 def test_is_all_zero_when_empty() -> None:
     assert Histogram().summary() == Summary()
 

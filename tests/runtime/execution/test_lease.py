@@ -59,9 +59,9 @@ class Counter(Component):
     """Counts what it does, and waits in a handler when it is asked to."""
 
     said: Published[Number]
+    ticks = activations = 0
 
     def configure(self) -> None:
-        self.ticks = self.activations = 0
         self.heard: list[int] = []
 
     def activate(self) -> None:

@@ -98,6 +98,18 @@ def test_counts_stay_over_a_pause_and_the_pause_is_not_counted() -> None:
     assert timers.next_due() == pytest.approx(START + 5.2)
 
 
+def test_a_pause_after_a_move_is_not_counted_either() -> None:
+    timers = Timers({"tick": Timer("tick", 0.1, 0.05)})
+    timers.begin_at({"tick": START + 0.04})
+    timers.start(START)
+    assert timers.next_due() == pytest.approx(START + 0.04)
+    timers.stop(START + 0.01)
+    timers.start(START + 60.0)
+    assert timers.next_due() == pytest.approx(START + 60.1)
+    (told,) = timers.status(START + 60.0)
+    assert (told.releases, told.missed) == (0, 0)
+
+
 def test_timers_are_due_at_multiples_of_their_periods_from_a_given_moment() -> None:
     timers = Timers(
         {"slow": Timer("slow", 0.5, None), "tick": Timer("tick", 0.2, None)}

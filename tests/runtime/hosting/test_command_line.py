@@ -200,6 +200,7 @@ assert all(state(c) == "Z" for c in children())
     ("script", "how"),
     [
         ("exit 3", "exit code 3"),
+        ("exit 0", "exit code 0: it should run in the foreground until SIGTERM"),
         ("kill -9 $$", "SIGKILL"),
         ("kill -40 $$", "signal 40"),
     ],
@@ -278,6 +279,31 @@ def test_a_file_that_may_not_be_executed_is_told_from_none(tmp_path: Path) -> No
     (tmp_path / "plan.sh").touch(0o644)
     with pytest.raises(PermissionError, match=r"/plan.sh may not be executed: see `"):
         runnable(("./plan.sh",), str(tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (b"sleep 9\n", "/plan.sh is text whose first line does not say which program"),
+        (b"#!/no/sh -e\n", "/plan.sh is to be run by '/no/sh', as its first line says"),
+        (b"#!/bin/sh\r\n", r"/plan.sh is to be run by '/bin/sh\\r'"),
+        (b"#! /bin/sh -e\n", ""),
+        (b"#!/bin/sh", ""),
+        (b"\x7fELF\0\0", ""),
+        (b"", ""),
+    ],
+)
+def test_a_script_says_which_program_runs_it(
+    tmp_path: Path, text: bytes, says: str
+) -> None:
+    script = tmp_path / "plan.sh"
+    script.write_bytes(text)
+    script.chmod(0o755)
+    if says:
+        with pytest.raises(OSError, match=says):
+            runnable(("./plan.sh", "9"), str(tmp_path))
+    else:
+        runnable(("./plan.sh", "9"), str(tmp_path))
 
 
 @pytest.mark.parametrize("argument", ["plan.py", "--version", "-c", "."])

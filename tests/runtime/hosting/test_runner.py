@@ -16,7 +16,7 @@ from msgspec.structs import replace
 from poise import Component, Message, Published, every, subscribed
 from poise.clock import SystemClock
 from poise.errors import RunError, Timeout
-from poise.runtime.execution.counters import Counts
+from poise.runtime.execution.counters import Counts, StatsPage, new_memory
 from poise.runtime.execution.exclusion import Redirected, new_chain
 from poise.runtime.hosting import runner as runner_module
 from poise.runtime.hosting.runner import Runner
@@ -308,6 +308,11 @@ def test_answers_are_taken_before_it_is_deactivated(running: Fixture) -> None:
     goes_on.set()
     reach(runner, "inactive")
     assert component.record[-2:] == ["answer", "deactivate"]
+    page = StatsPage(new_memory())
+    page.show({(runner.spec.name, runner.spec.epoch): runner}, ())
+    read = page._sampler.read()
+    assert read is not None
+    assert read[2][0][4:] == (1, 1)  # asked for and done, as a message is
 
 
 def test_a_timer_that_fails_goes_on_ticking(running: Fixture) -> None:

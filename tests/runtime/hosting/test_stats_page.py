@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -20,8 +21,9 @@ from poise.runtime._calls import ComponentCounters, PageSampler, ServedCall
 from poise.runtime.connectors.route import direct_call, raise_callee_error
 from poise.runtime.execution.counters import MOST, Counts, StatsPage, new_memory
 from poise.runtime.execution.exclusion import Exclusion
+from poise.threads import daemon, take_name
 from poise.wire.frame import Frame, FrameKind
-from tests.waiting import wait_until
+from tests.waiting import LONG, wait_until
 
 if TYPE_CHECKING:
     from poise.runtime.hosting.runner import Runner
@@ -265,15 +267,143 @@ def test_counts_a_process_as_its_command(book: Book) -> None:
     counters = book.counters("driver")
     with subprocess.Popen([sys.executable, "-c", "while True: pass"]) as process:
         counters.watch(process.pid)
-        assert book.reader.commands() == [process.pid]
         wait_until(lambda: book.cpu("driver") >= 0.01)
+        assert book.reader.descendants() == [process.pid]
         read = book.reader.read()
         assert read is not None
         assert read[1] > book.cpu("driver") - 1  # it is in the container's time
         process.kill()
     counters.end()
     assert book.cpu("driver") == 0.0
-    assert book.reader.commands() == []
+    assert book.reader.descendants() == []
+
+
+BURN = """
+import time
+while time.process_time() < 0.3: pass
+"""
+REAPS = f"""
+import subprocess, sys
+for _ in range(2):
+    subprocess.run([sys.executable, "-S", "-c", {BURN!r}])
+subprocess.run([sys.executable, "-S", "-c", {BURN + "time.sleep(60)"!r}])
+"""
+REAPS_NONE = f"import signal; signal.signal(signal.SIGCHLD, signal.SIG_IGN)\n{REAPS}"
+
+
+def as_component(book: Book, name: str, work: Callable[[], None]) -> threading.Thread:
+    """Run something on the thread of a component."""
+    counters, told = book.counters(name), threading.Event()
+
+    def main() -> None:
+        take_name(name)
+        counters.begin()
+        told.set()
+        work()
+        counters.end()
+
+    thread = threading.Thread(target=main)
+    thread.start()
+    assert told.wait(LONG)
+    return thread
+
+
+@pytest.mark.slow
+def test_threads_that_a_component_started_belong_to_it(book: Book) -> None:
+    """Two components of one name for the kernel are told apart by nothing."""
+    ended = threading.Event()
+
+    def spin() -> None:
+        while not ended.is_set():
+            burn(0.01)
+
+    def own() -> None:
+        threading.Thread(target=spin).start()
+        daemon(spin, "drain").start()
+        ended.wait()
+
+    def both() -> None:
+        threading.Thread(target=spin).start()
+        ended.wait()
+
+    def wait() -> None:
+        ended.wait()
+
+    names = ("eye", "a_very_long_name", "a_very_lo_ng_name", "ear")
+    threads = [
+        as_component(book, name, work)
+        for name, work in zip(names, (own, both, both, wait), strict=True)
+    ]
+    wait_until(lambda: book.cpu("eye") >= 0.1)
+    assert max(book.cpu(name) for name in names[1:]) < 0.05
+    ended.set()
+    for thread in threads:
+        thread.join()
+    assert book.cpu("eye") >= 0.1
+
+
+@pytest.mark.slow
+def test_processes_that_a_component_started_belong_to_it(book: Book) -> None:
+    ended = threading.Event()
+
+    def own() -> None:
+        script = BURN + "time.sleep(1.5)"
+        subprocess.run([sys.executable, "-S", "-c", script], check=True)
+        ended.wait()
+
+    def wait() -> None:
+        ended.wait()
+
+    threads = [
+        as_component(book, "eye", own),
+        as_component(book, "ear", wait),
+    ]
+    wait_until(lambda: book.cpu("eye") >= 0.3)
+    wait_until(lambda: book.cpu("eye") and not book.reader.descendants())
+    assert book.cpu("eye") >= 0.3
+    assert book.cpu("ear") < 0.05
+    ended.set()
+    for thread in threads:
+        thread.join()
+
+
+def child_of(book: Book, process: int) -> int | None:
+    """Return the one that runs as last seen."""
+    return next((each for each in book.reader.descendants() if each != process), None)
+
+
+@pytest.mark.slow
+def test_what_a_command_started_belongs_to_it(book: Book) -> None:
+    """Two that have ended used 0.3 s each, and one goes on."""
+    counters = book.counters("driver")
+    with subprocess.Popen([sys.executable, "-S", "-c", REAPS]) as process:
+        counters.watch(process.pid)
+        wait_until(lambda: book.cpu("driver") >= 0.88)  # ticks are cut off
+        assert counters.cpu() == pytest.approx(book.cpu("driver"), abs=0.1)
+        read = book.reader.read()
+        assert read is not None
+        assert read[1] >= time.process_time() + 0.88
+        child = child_of(book, process.pid)
+        assert child is not None
+        os.kill(child, signal.SIGKILL)
+
+
+@pytest.mark.slow
+def test_the_time_of_a_child_stays_when_nobody_takes_note_of_its_end(
+    book: Book,
+) -> None:
+    """The kernel adds it to no parent that ignores the ends of its children."""
+    counters = book.counters("driver")
+    words = [sys.executable, "-S", "-c", REAPS_NONE + "import time; time.sleep(60)"]
+    with subprocess.Popen(words, start_new_session=True) as process:
+        counters.watch(process.pid)
+        wait_until(lambda: book.cpu("driver") >= 0.3 and child_of(book, process.pid))
+        before, child = book.cpu("driver"), child_of(book, process.pid)
+        assert child is not None
+        os.kill(child, signal.SIGKILL)
+        wait_until(lambda: book.cpu("driver") and child_of(book, process.pid) != child)
+        assert book.cpu("driver") >= before
+        os.killpg(process.pid, signal.SIGKILL)  # with the next child
 
 
 def test_without_the_schedulers_counters_there_are_ticks(
@@ -426,4 +556,4 @@ def test_what_has_no_room_on_the_page_is_said_once(
     for counters in taken:
         counters.leave()
     page.show({("mine", EPOCH): mine}, ())
-    assert page.cpu().keys() == {("mine", EPOCH)}
+    assert page.cpu()[1].keys() == {("mine", EPOCH)}

@@ -12,9 +12,9 @@ from unittest.mock import Mock
 import pytest
 from msgspec.structs import replace
 
-from poise import Component, Message, Provided, every, oneway, subscribed
+from poise import Component, Message, Provided, Published, every, oneway, subscribed
 from poise.clock import SystemClock
-from poise.errors import UsageError
+from poise.errors import Timeout, UsageError
 from poise.runtime.connectors.interface import methods
 from poise.runtime.execution.counters import Counts
 from poise.runtime.execution.data_age import Stamped
@@ -209,6 +209,37 @@ def test_state_and_timers_go_over(incarnations: Incarnations) -> None:
     assert new.timers.next_due() == pytest.approx(old.timers.next_due(), abs=5)
 
 
+class Acting(Book):
+    """Says that its action is done, each time that it is told to begin or activated."""
+
+    done: Published[bool]
+
+    def activate(self) -> None:
+        self.done.publish(True)
+
+    def begin(self, action: str) -> None:
+        self.texts += (action,)
+        self.tasks.start("next")
+        self.done.publish(True)
+
+
+def test_what_it_was_told_and_says_of_tasks_goes_over(
+    incarnations: Incarnations,
+) -> None:
+    """The manager may hear it from the target alone, and not twice."""
+    spec = replace(BOOK, ends=("done",), actions={7: "look"})
+    old = incarnations.start(Acting, active=True, spec=replace(spec, goal="active"))
+    new = incarnations.start(Acting, active=False, spec=spec)
+    wait_until(lambda: texts(old) == ("look",))
+    wait_until(lambda: old.status().task_requests)
+    restore(new, fetch(rest(old), Request.ALL, LIMIT))
+    new.aim("active")
+    new.life_cycle.wait_state({"active"}, LIMIT)
+    assert (texts(new), new.begun) == (("look",), {7})
+    assert new.status().ends == old.status().ends
+    assert new.status().task_requests == old.status().task_requests
+
+
 def test_what_waits_goes_over_in_order(incarnations: Incarnations) -> None:
     old = incarnations.start(Book, active=True)
     new = incarnations.start(Book, active=False)
@@ -233,6 +264,19 @@ def test_one_way_calls_that_wait_go_over_in_order(incarnations: Incarnations) ->
     restore(new, fetch(channel, Request.ALL, LIMIT))
     new.aim("active")
     wait_until(lambda: texts(new) == ("a", "b"))
+
+
+def test_says_when_a_state_that_is_copied_ahead_takes_too_long(
+    incarnations: Incarnations,
+) -> None:
+    """That no target requested it was all that was said: it was on its way."""
+    old = incarnations.start(Gradual, active=True)
+    channel = DirectPipe(old)
+    with pytest.raises(Timeout, match="no target requested the state of component"):
+        channel.sender.wait_requested(0.0)
+    fetch(channel, Request.STATE, LIMIT)
+    with pytest.raises(Timeout, match="was not copied ahead within 0 s: is it too lar"):
+        channel.sender.wait_requested(0.0)
 
 
 def test_a_large_state_goes_first_and_then_what_changed(

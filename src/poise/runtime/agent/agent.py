@@ -27,6 +27,7 @@ from poise import threads
 from poise.clock import SystemClock, time_asleep, wall_time
 from poise.endpoint import Endpoint
 from poise.errors import RunError, Unavailable, UsageError
+from poise.kernel_counters import ComputerMemory, Processes, cores_of_computer
 from poise.priority import before_components, go_first, goes_first
 from poise.runtime.agent.agent_files import (
     AgentFolder,
@@ -227,12 +228,14 @@ class Agent:
             code=self._code,
             version=VERSION,
             platform=this_platform(),
+            cores=cores_of_computer(),
+            computer_memory=ComputerMemory().size(),
             standby=self._standby,
             heartbeats=self._heartbeats,
             usage=sampler.usage,
             cpu=time.process_time,
             gateway=str(gateway),
-            gateway_trouble=gateway.warning.trouble,
+            trouble=lambda: gateway.warning.trouble() or self._zygote_trouble(),
             notice=self._notice,
             pid=os.getpid(),
             key=uuid.uuid4().hex,
@@ -242,6 +245,15 @@ class Agent:
         if self._keys is not None:
             return self._keys.warning() or self._standby.notice()
         return f"without keys: whoever reaches {self._endpoint} can run code here"
+
+    def _zygote_trouble(self) -> str:
+        pid = self._zygote_pid
+        if not Processes().is_stopped(pid):
+            return ""
+        return (
+            "the zygote is stopped (SIGSTOP): no container starts, or is seen to end; "
+            f"`kill -CONT {pid}` lets it go on"
+        )
 
     def _open_gateway(self) -> Gateway:
         """Open it where the agent before had it, so that connectors find it again."""
@@ -255,10 +267,7 @@ class Agent:
     def _heartbeats(self, hear: Hear, next_beat: NextBeat) -> HeartbeatTransport | None:
         listen = self._endpoint
         try:
-            is_ipv6 = ":" in listen.host
-            datagrams = UdpDatagrams(
-                self._clock, listen, is_ipv6=is_ipv6, keys=self._keys
-            )
+            datagrams = UdpDatagrams(self._clock, listen, keys=self._keys)
         except OSError as error:
             log.warning("no heartbeats: UDP port %d: %s", listen.port, error)
             return None
@@ -395,9 +404,10 @@ class Agent:
         except Unavailable as error:
             # one with threads, as the agent is by now, must not fork another
             self._has_zygote = False
+            oom = self._host.explain_kill(self._clock.now())
             self._core.on_no_more_starts(
                 f"{error}: containers keep running, but none can be started until "
-                "the agent is started again"
+                f"the agent is started again{oom and '; it '}{oom}"
             )
             return
         if isinstance(event, zygote.ContainerEnded):

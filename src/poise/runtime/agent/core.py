@@ -383,7 +383,8 @@ class AgentCore:
         statuses, usage = supervisor.statuses(), world.usage()
         claim = self.heartbeats.claim
         # a lack of descriptors, say, is the cause of both
-        trouble = world.gateway_trouble() or world.disk.trouble()
+        trouble = world.trouble() or world.disk.trouble()
+        troubles = supervisor.trouble, trouble, self.standby.trouble
         return AgentStatus(
             version=world.version,
             computer=self._setup.computer,
@@ -400,11 +401,13 @@ class AgentCore:
             load=sum(use.cpu for use in usage.values()),
             memory=sum(use.memory for use in usage.values()),
             gateway=world.gateway,
-            trouble="; ".join(filter(None, [supervisor.trouble, trouble])),
+            trouble="; ".join(filter(None, troubles)),
             notice=world.notice(),
             errors=self.supervised.errors(),
             cpu_weights=world.host.cpu_weights,
             platform=world.platform,
+            cores=world.cores,
+            computer_memory=world.computer_memory,
             code=self._versions(),
             containers=statuses,
             faults=supervisor.health.faults(),

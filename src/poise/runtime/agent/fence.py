@@ -61,7 +61,7 @@ class Fence:
         if self._present != before:
             self.unmanaged = self._wall() if is_gone else 0.0
             if before is not None:
-                self._say(f"{before} is gone; containers keep running")
+                self._say(f"{before} is gone; what still runs here goes on")
             if self._present is not None:
                 self._say(f"managed by {self._present}")
         if self.is_cut_off and not self.cut_off:

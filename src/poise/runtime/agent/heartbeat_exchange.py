@@ -39,7 +39,7 @@ from poise.wire.records.heartbeat_records import (
     Heartbeat,
     LinkQuality,
 )
-from poise.wire.records.request_records import Claim
+from poise.wire.records.request_records import Claim, majority_at
 
 _KEPT = 64
 
@@ -238,6 +238,18 @@ class HeartbeatExchange:
             manager = self._contacts.get(MANAGER)
             heard_at = manager.heard_at if manager else self._claimed_at
             return max(heard_at + UNHEARD_AFTER, self._grace_until)
+
+    def unanswering(self) -> list[str]:
+        """Return who does not answer, if a majority of the votes lacks; else none."""
+        with self._lock:
+            now, answered = self._clock.now(), {self._computer: inf}
+            for name in self._votes.keys() & self._targets.keys():
+                contact = self._contacts.get(name)
+                if contact is not None and contact.acked is not None:
+                    answered[name] = contact.acked
+            if majority_at(self._votes, answered) >= now - LEASE:
+                return []
+            return sorted(n for n in self._votes if answered.get(n, 0.0) < now - LEASE)
 
     def silent(self) -> dict[str, float]:
         """Return who was heard, and for how long it was not [s]."""

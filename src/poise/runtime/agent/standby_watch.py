@@ -31,6 +31,8 @@ class StandbyWatch:
         self._world = world
         self._due = inf
         self._has_standby = False
+        # why the standby is not woken that should lead; empty: nothing hinders it
+        self.trouble = ""
 
     def look(self, *, is_over: bool) -> None:
         """Keep a standby, and wake it when nobody leads; `is_over`: nothing runs."""
@@ -44,12 +46,11 @@ class StandbyWatch:
         self._world.standby.keep(claim)
         now = self._world.clock.now()
         if self._fence.is_managed() and now < self._heartbeats.leader_silent_from():
-            self._due = inf
+            self._due, self.trouble = inf, ""
         elif self._due == inf:
             self._due = now + self._pause(election)
         elif now >= self._due:
-            self._world.say("no manager leads the robot: the standby here tries to")
-            self._world.standby.lead()
+            self._wake()
             self._due = now + _AGAIN * (1 + self._world.random.random())
 
     def moment(self) -> float:
@@ -62,7 +63,20 @@ class StandbyWatch:
         """Let no standby wait."""
         if self._has_standby:
             self._world.standby.keep(None)
-        self._has_standby, self._due = False, inf
+        self._has_standby, self._due, self.trouble = False, inf, ""
+
+    def _wake(self) -> None:
+        """Wake the standby, unless its claim would disturb agents for nothing."""
+        before, silent = self.trouble, ", ".join(self._heartbeats.unanswering())
+        self.trouble = silent and (
+            "no standby can lead: most votes are missing, since heartbeats (UDP) are "
+            f"not answered by {silent} (does a firewall let them through, both ways?)"
+        )
+        if not self.trouble:
+            self._world.say("no manager leads the robot: the standby here tries to")
+            self._world.standby.lead()
+        elif self.trouble != before:
+            self._world.say(self.trouble)
 
     def _silent_from(self) -> float:
         """Return when the leader would be silent; never when it is known to be."""

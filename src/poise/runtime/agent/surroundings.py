@@ -241,9 +241,10 @@ class Surroundings(Struct, frozen=True, kw_only=True):
     cpu: Callable[[], float]
     version: str = ""  # As in `AgentStatus`
     platform: str = ""
-    # Its address, and why it accepts no connection; empty: it does
-    gateway: str
-    gateway_trouble: Callable[[], str]
+    cores: float = 0.0
+    computer_memory: int = 0
+    gateway: str  # Its address
+    trouble: Callable[[], str]  # Why gateway or zygote do not work; empty: they do
     notice: Callable[[], str] = str  # What is to be known though nothing is wrong
     # The agent's process, and a text that no other start of an agent has
     pid: int

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 from msgspec import Struct
 
 from poise.errors import RobotError, did_you_mean, listed
+from poise.runtime.component import ports
 from poise.runtime.component.component import Component
 from poise.runtime.component.error_report import brief_traceback
 from poise.runtime.component.ports import is_oneway, methods_of
@@ -101,8 +102,17 @@ def load_module(name: str, folder: str) -> ModuleType:
     except (Exception, SystemExit) as error:
         # what a module in C++ raises is the cause of an error of nanobind's
         is_wrapped = str(error).endswith("while initializing the extension.")
-        raised = error.__cause__ if is_wrapped else None
-        raise RobotError(f"{failed}: {brief_traceback(raised or error)}") from error
+        raised = (error.__cause__ if is_wrapped else None) or error
+        _note_parameters(raised)
+        raise RobotError(f"{failed}: {brief_traceback(raised)}") from error
+
+
+def _note_parameters(error: BaseException) -> None:
+    """Say what a decorator of Poise's takes, when it was given something else."""
+    name, found, _ = str(error).partition("() got an unexpected keyword argument")
+    if found and hasattr(ports, name):
+        known = inspect.signature(getattr(ports, name)).parameters
+        error.add_note(f"{name} takes {listed(known)}")
 
 
 def _no_attribute(

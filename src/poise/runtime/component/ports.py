@@ -329,6 +329,7 @@ def ports_of(component: type) -> Mapping[str, Port]:
     _check_names(component, hints)
     ports = {}
     for name, hint in hints.items():
+        _check_complete(component, name, hint)
         port = _annotated_port(name, hint, getattr(component, name, None))
         if port is not None:
             ports[name] = port
@@ -388,6 +389,18 @@ def _check_assigned(component: type) -> None:
             raise UsageError(
                 f"{component.__qualname__}.{name} is no port: write a colon, not an "
                 f"equals sign, as in `{name}: Published[Type]`"
+            )
+
+
+def _check_complete(component: type, name: str, hint: object) -> None:
+    """Raise UsageError when a port does not say its type or interface."""
+    kinds = {"Published": Published, "Provided": Provided, "Required": Required}
+    for kind, bare in kinds.items():
+        if hint == bare:
+            what = "message" if kind == "Published" else "interface"
+            raise UsageError(
+                f"{component.__qualname__}.{name} does not say which {what} it has; "
+                f"write its type in brackets, as in `{name}: {kind}[Type]`"
             )
 
 

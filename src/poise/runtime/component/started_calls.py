@@ -7,21 +7,25 @@ move waits until all have been answered and taken, since no answer could follow.
 from __future__ import annotations
 
 import logging
+import math
 import os
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cache, partial
-from typing import Any, Generic, ParamSpec, TypeVar
+from typing import Any, Generic, NoReturn, ParamSpec, TypeVar
 
 from poise.errors import RunError
 from poise.runtime import _calls
 from poise.runtime._calls import new_chain
+from poise.threads import take_poise_name
 from poise.units import counted
 
 _THREADS = 16
 """So many calls of one container are under way at once; others wait."""
+ANSWER = "answer"
+"""What takes an answer in a turn of its own is called so."""
 MOST_OPEN = 64
 """The most unanswered calls of one component."""
 P = ParamSpec("P")
@@ -57,7 +61,11 @@ class StartedCall(Generic[R]):
             It was cancelled.
         """
         self._is_awaited = True
-        return self._future.result()
+        began = time.monotonic()
+        try:
+            return self._future.result()
+        finally:
+            self._calls.awaited += time.monotonic() - began
 
     def then(self, take: Callable[[StartedCall[R]], object]) -> None:
         """Let the component take the answer, as a message: `take` gets this call.
@@ -86,13 +94,19 @@ class StartedCall(Generic[R]):
 
 
 class StartedCalls:
-    """The calls that one component has started and not yet taken the answers of."""
+    """The calls that one component has started and not yet taken the answers of.
+
+    `counts`: what they took, on threads that are not the component's.
+    `awaited`: for how long their results were waited for [s].
+    """
 
     def __init__(self, name: str, turn: Turn) -> None:
         self.turn = turn
         self._name = name
         self._changed = threading.Condition()
         self.num_open = self._num_calls = 0
+        self.counts = _calls.Counts()
+        self.awaited = 0.0
 
     def start(
         self, call: Callable[P, R], *args: P.args, **kwargs: P.kwargs
@@ -106,8 +120,11 @@ class StartedCalls:
         self.expect(calls=1)
         answer: Future[R] = Future()
         answer.add_done_callback(lambda _: self.end(calls=1))
+        do = partial(
+            _outcome, answer, partial(call, *args, **kwargs), _calls.deadline()
+        )
         try:
-            self._make(partial(_answer, answer, call, args, kwargs, _calls.deadline()))
+            self._make(partial(_answer, answer, self._counted(do)))
         except RuntimeError as error:
             answer.cancel()  # or each move would wait for it
             raise RunError(f"no call of '{self._name}' is started: {error}") from error
@@ -115,6 +132,12 @@ class StartedCalls:
 
     def _make(self, do: Callable[[], None]) -> None:
         _threads().submit(do)
+
+    def _counted(self, do: Callable[[], R]) -> Callable[[], R]:
+        """Return what does the same, and counts: it excludes nothing."""
+        free = _calls.Exclusion(self._name)
+        free.resume()
+        return _calls.direct_call(do, free, math.inf, self.counts, _raise)
 
     def expect(self, *, calls: int = 0) -> None:
         """Count one more call, or answer to be taken, that is to be waited for."""
@@ -158,30 +181,36 @@ class ImmediateCalls(StartedCalls):
         do()
 
 
-def _answer(
-    answer: Future[R],
-    call: Callable[..., R],
-    args: tuple[object, ...],
-    kwargs: Mapping[str, object],
-    until: int,
-) -> None:
+def _answer(answer: Future[R], do: Callable[[], Callable[[], None]]) -> None:
     """Make a call and set its answer, unless that is cancelled before or meanwhile."""
     if answer.cancelled():
         return
     new_chain()
-    _calls.set_deadline(until)
-    try:
-        settle = partial(answer.set_result, call(*args, **kwargs))
-    # what the caller is to see, whatever it is
-    except BaseException as error:  # noqa: BLE001
-        settle = partial(answer.set_exception, error)
+    settle = do()
     if answer.set_running_or_notify_cancel():
         settle()
 
 
+def _outcome(
+    answer: Future[R], call: Callable[[], R], until: int
+) -> Callable[[], None]:
+    """Make a call until a moment; return what sets its answer."""
+    _calls.set_deadline(until)
+    try:
+        return partial(answer.set_result, call())
+    # what the caller is to see, whatever it is
+    except BaseException as error:  # noqa: BLE001
+        return partial(answer.set_exception, error)
+
+
+def _raise(error: BaseException) -> NoReturn:
+    raise error
+
+
 @cache
 def _threads() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(_THREADS, "started")
+    # else they would count as the first component's own
+    return ThreadPoolExecutor(_THREADS, "started", take_poise_name, ("started",))
 
 
 # a process that a component forks has none of these threads, and would wait for them

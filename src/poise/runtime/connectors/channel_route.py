@@ -272,7 +272,7 @@ class ReceivingEnd(Struct, frozen=True, kw_only=True):
         """Return what answers the calls of a method."""
         spec, target = self.spec, self.target
         arguments, result, tag = method.arguments, method.result, method.tag
-        run = getattr(target.component, method.name)
+        run = target.timing(getattr(target.component, method.name), spec.name)
         if spec.carries or spec.answers:
             arguments = with_stamps(arguments, spec.carries)
             result = with_stamps(result, spec.answers)

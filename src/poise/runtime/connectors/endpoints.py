@@ -21,11 +21,15 @@ from poise.runtime.connectors.latest import (
 )
 from poise.runtime.connectors.sender import Sender
 from poise.runtime.connectors.tap import Observers, observed_send
+from poise.runtime.execution.counters import Counts
 from poise.runtime.execution.data_age import DataAges, SentChains
 from poise.runtime.execution.exclusion import Exclusion
 from poise.runtime.execution.mailbox import Mailbox
 from poise.wire.codec import WireError
 from poise.wire.records.deployment_records import ConnectorSpec
+
+Timing = Callable[[Callable[..., Any], str], Callable[..., Any]]
+"""What makes a method that counts its runs, of one that is called over a connector."""
 
 
 class OvertakenSources:
@@ -106,9 +110,9 @@ class ComponentEndpoints:
         listeners: Mapping[str, Callable[[Any], None]] = MappingProxyType({}),
     ) -> None:
         self.ages = ages
+        self.timing: Timing = lambda method, _: method
         self._listeners = listeners
         self.component = component
-        self.ports = ports
         self.exclusion = exclusion
         queues = {
             port.name: port.queue or _ONEWAY
@@ -146,6 +150,11 @@ class ComponentEndpoints:
             self.senders[name] = sender
             self._rewire(port)
         return self.senders[name]
+
+    def counts_of_calls(self) -> list[Counts]:
+        """Return what is counted of the connectors over which it calls."""
+        senders = list(self.senders.values())
+        return [each.counts for each in senders if each.port.kind == "requires"]
 
     def remove_route(self, sender: Sender, key: str) -> None:
         """Close a route of a sender, and forget the sender with the last one."""

@@ -60,6 +60,7 @@ def prepare(
 
     def main() -> None:
         write_as(spec.name)
+        threads.take_name(spec.name)  # what it starts is found by it
         if gives_way:
             give_way()
         asked_at = clock.now()
@@ -72,9 +73,8 @@ def prepare(
         else:
             prepared.set_result(runner)
 
-    name = f"import {spec.name}"[:15]
     try:
-        threads.daemon(main, name).start()
+        threads.daemon(main, f"import {spec.name}").start()
     except RuntimeError as error:  # no thread is free: the other components go on
         prepared.set_exception(error)
     return prepared

@@ -14,7 +14,6 @@ import os
 import signal
 import socket
 import sys
-import time
 from collections.abc import Collection
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
@@ -117,7 +116,10 @@ class Container:
         self._preparing: dict[ComponentKey, tuple[ComponentSpec, Future[Runner]]] = {}
         self._runners: dict[ComponentKey, Runner] = {}
         self._ending: dict[ComponentKey, tuple[Runner, float]] = {}
-        self._broken: dict[ComponentKey, tuple[ComponentSpec, ComponentStatus]] = {}
+        # with what could not be started; None: no thread was free, and may be later
+        self._broken: dict[
+            ComponentKey, tuple[ComponentSpec | None, ComponentStatus]
+        ] = {}
         self._unjoined: dict[ComponentKey, ComponentStatus] = {}
         self._steps = MigrationExecutor(self._runners, self._wiring, self._server)
         # steps wait for components and for other computers; the control thread must not
@@ -197,6 +199,7 @@ class Container:
                 has_news = False
                 report_at = self._clock.now() + REPORT_EVERY
                 orphans.reap()
+                self._start_again()
 
     def _watch_inputs(self) -> bool:
         """Tell components who has lost a source; return whether to look again soon."""
@@ -324,11 +327,8 @@ class Container:
         search_also(spec.repository)
         wanted = {(c.name, c.epoch): c for c in spec.components}
         for key, (tried, _) in list(self._broken.items()):
-            spec_now = wanted.get(key, tried)
-            if (
-                structs.replace(tried, goal=spec_now.goal) != spec_now
-                or key not in wanted
-            ):
+            now = wanted.get(key)
+            if now is None or (tried and structs.replace(tried, goal=now.goal) != now):
                 del self._broken[key]
         known = {*self._runners, *self._preparing, *self._ending, *self._broken}
         for key, component in wanted.items():
@@ -384,9 +384,20 @@ class Container:
                 self._start(spec, prepared.result())
             # it is the user's: it may have raised anything
             except (Exception, SystemExit) as error:  # noqa: BLE001
+                is_lack = threads.is_lack_of_threads(error)
                 why = traceback_of(error) or repr(error)
-                self._broken[key] = spec, _failed(key, "start", why)
+                why = threads.NO_THREAD if is_lack else why
+                tried = None if is_lack else spec
+                self._broken[key] = tried, _failed(key, "start", why)
         return done
+
+    def _start_again(self) -> None:
+        """Start what there was no thread for."""
+        again = [key for key, (tried, _) in self._broken.items() if tried is None]
+        if again and self._wanted is not None:
+            for key in again:
+                del self._broken[key]
+            self._apply(self._wanted, new=())
 
     def _start(self, spec: ComponentSpec, runner: Runner) -> None:
         """Start a component; RuntimeError: no thread is free."""
@@ -430,7 +441,7 @@ class Container:
             self._tell_failure(f"says that {runner.bad_end}", goes_on=True)
 
     def _status(self) -> ContainerStatus:
-        used = self._stats_page.cpu()
+        used, used_by = self._stats_page.cpu()
         broken = {key: status for key, (_, status) in self._broken.items()}
         components = {key: runner.status() for key, (runner, _) in self._ending.items()}
         components |= {
@@ -438,7 +449,8 @@ class Container:
             for key in self._preparing
         }
         components |= {
-            key: runner.status(used.get(key)) for key, runner in self._runners.items()
+            key: runner.status(used_by.get(key))
+            for key, runner in self._runners.items()
         }
         return ContainerStatus(
             name=self._name,
@@ -447,8 +459,7 @@ class Container:
             trouble=self._server.warning.trouble()
             or self._thread_failures.trouble()
             or output_trouble(),
-            cpu=time.process_time()
-            + sum(r.counters.cpu() for r in self._runners.values() if r.spec.command),
+            cpu=used,
             components=tuple((components | broken | self._unjoined).values()),
             connectors=self._wiring.status(),
         )

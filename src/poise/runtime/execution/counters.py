@@ -10,6 +10,7 @@ from __future__ import annotations
 import fcntl
 import logging
 import os
+import time
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
@@ -85,8 +86,8 @@ class StatsPage:
     def __init__(self, memory: int) -> None:
         self._native = _calls.StatsPage(memory)
         self._sampler = PageSampler(memory, os.getpid())
-        self._shown: set[ComponentCounters | Counts] = set()
-        self._refused: set[ComponentCounters | Counts] = set()
+        self._shown: set[ComponentCounters | _calls.Counts] = set()
+        self._refused: set[ComponentCounters | _calls.Counts] = set()
 
     def beat(self) -> None:
         """Show the agent that the calling thread runs; a few times a second."""
@@ -104,8 +105,16 @@ class StatsPage:
             for runner in running.values()
             if any(port.kind == "provides" for port in runner.ports.values())
         ]
-        wanted: set[ComponentCounters | Counts] = {*components.values()}
-        wanted |= {runner.outside_calls for runner in called}
+        calling = [
+            runner
+            for runner in running.values()
+            if any(port.kind == "requires" for port in runner.ports.values())
+        ]
+        beside: list[tuple[Runner, _calls.Counts, str]]
+        beside = [(r, r.outside_calls, "what calls '{}' from outside") for r in called]
+        beside += [(r, r.started.counts, "what '{}' starts to call") for r in calling]
+        wanted: set[ComponentCounters | _calls.Counts] = {*components.values()}
+        wanted |= {counts for _, counts, _ in beside}
         wanted |= {connector.counts for connector in connectors}
         for removed in self._shown - wanted:
             removed.leave()
@@ -114,10 +123,9 @@ class StatsPage:
         for (name, epoch), counters in components.items():
             if counters in new and not counters.enter(self._native, name, epoch):
                 self._refuse(counters, f"component '{name}'")
-        for runner in called:
-            counts = runner.outside_calls
+        for runner, counts, what in beside:
             if counts in new and not counts.enter(self._native, ""):
-                self._refuse(counts, f"what calls '{runner.spec.name}' from outside")
+                self._refuse(counts, what.format(runner.spec.name))
             counts.attribute(None, runner.counters)
         for connector in connectors:
             spec, counts = connector.spec, connector.counts
@@ -129,12 +137,14 @@ class StatsPage:
                 components.get((spec.target, spec.target_epoch)),
             )
 
-    def cpu(self) -> dict[ComponentKey, float]:
-        """Return the CPU time of each component so far [s]."""
+    def cpu(self) -> tuple[float, dict[ComponentKey, float]]:
+        """Return the CPU time of the container, and of each component, so far [s]."""
         reading = self._sampler.read()
-        return {} if reading is None else {(c[0], c[1]): c[2] for c in reading[2]}
+        if reading is None:  # no component is entered
+            return time.process_time(), {}
+        return reading[1], {(c[0], c[1]): c[2] for c in reading[2]}
 
-    def _refuse(self, counters: ComponentCounters | Counts, what: str) -> None:
+    def _refuse(self, counters: ComponentCounters | _calls.Counts, what: str) -> None:
         self._shown.discard(counters)  # there may be room the next time
         if counters not in self._refused:
             self._refused.add(counters)

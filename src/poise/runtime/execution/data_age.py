@@ -132,14 +132,14 @@ class DataAges:
         args: Sequence[object],
         *,
         taken: Stamped | None = None,
-        is_timer: bool = False,
+        is_later: bool = False,
     ) -> Any:  # noqa: ANN401, the method's own
         """Run the component's code on what came with stamps; an error is no use."""
         self.begin()
         if taken is not None:
             self.note(taken.chains, taken.stamps)
         result = method(*args)
-        self.end(is_timer=is_timer)
+        self.end(is_later=is_later)
         return result
 
     def begin(self) -> None:
@@ -147,12 +147,16 @@ class DataAges:
         for chain in self._chains.values():
             chain.is_new = False
 
-    def end(self, *, is_timer: bool) -> None:
-        """Let a run end: the last component of a chain has used its data."""
+    def end(self, *, is_later: bool) -> None:
+        """Let a run end: the last component of a chain has used its data.
+
+        `is_later`: that may have come before, as for a timer or the turn of an answer.
+        """
         now = self._clock.now()
         for chain in self._chains.values():
-            if chain.part.deadline is not None and (is_timer or chain.is_new):
+            if chain.part.deadline is not None and (is_later or chain.is_new):
                 chain.use(now)
+            chain.is_new = False
 
     def note(self, names: Iterable[str], stamps: Iterable[float]) -> None:
         """Take stamps that came with a message, a call or an answer."""

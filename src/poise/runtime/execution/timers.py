@@ -92,15 +92,16 @@ class Timers:
         return iter(list(self._releases.values()))
 
     def begin_at(self, first: Mapping[str, float]) -> None:
-        """Let timers be due first at these moments [s]: a move keeps their phases."""
+        """Let timers be due so when they start next [s]: a move keeps their phases."""
         self._first = first
 
     def start(self, now: float, elapsed: float = 0.0) -> list[tuple[float, float]]:
         """Start or go on at `now` [s]; return the start and the period of each [s]."""
         stopped, self._stopped_at = self._until(now), None
+        first, self._first = self._first, {}
         for name, timer in self._declared.items():
             due = now + timer.period - elapsed % timer.period
-            start = self._first.get(name, due) - timer.period
+            start = first.get(name, due) - timer.period
             if name in self._releases:
                 self._releases[name].restart(start, stopped)
             else:

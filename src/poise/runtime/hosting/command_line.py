@@ -7,8 +7,10 @@ path; the name in capitals, ``_`` for ``-``). Poise does not wire it.
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -136,7 +138,8 @@ class CommandLine(Component):
         self._reader.join(_OUTPUT_LIMIT)  # its last words tell why it ended
         if not self._is_stopping:
             how = f"exit code {code}" if code >= 0 else signal_name(-code)
-            self._context.give_up(f"its command ended with {how}")
+            advice = "" if code else ": it should run in the foreground until SIGTERM"
+            self._context.give_up(f"its command ended with {how}{advice}")
 
     def _signal(self, number: signal.Signals) -> None:
         signal_all(self.name, self._process.pid, number)
@@ -146,12 +149,39 @@ class CommandLine(Component):
 
 
 def runnable(command: Sequence[str], folder: str) -> list[str]:
-    """Return a command line with its program's path; FileNotFoundError: what lacks."""
+    """Return a command line with its program's path; OSError: what lacks."""
     name, *arguments = command
     script = Path(folder, arguments[0]).absolute() if arguments else Path()
     if name in _PYTHON and not script.exists() and not arguments[0].startswith("-"):
         raise FileNotFoundError(f"there is no such script as {script}")
-    return [program(name, folder), *arguments]
+    path = program(name, folder)
+    _check_first_line(path)
+    return [path, *arguments]
+
+
+_BEGINNING = 256
+"""So much of a script the kernel reads, to see which program runs it [bytes]."""
+
+
+def _check_first_line(path: str) -> None:
+    """Raise OSError for a script that does not say what runs it, or a wrong name."""
+    head = b""
+    with contextlib.suppress(OSError), Path(path).open("rb") as file:
+        head = file.read(_BEGINNING)
+    line = head.partition(b"\n")[0].decode(errors="replace")
+    if not line.startswith("#!"):
+        if head and b"\0" not in head:
+            raise OSError(
+                f"{path} is text whose first line does not say which program runs it, "
+                "as #!/bin/sh does"
+            )
+        return
+    name = re.split("[ \t]", line.removeprefix("#!").strip(" \t"))[0]
+    if name and not Path(name).exists():
+        raise FileNotFoundError(
+            f"{path} is to be run by {name!r}, as its first line says, which is not "
+            "there"
+        )
 
 
 def program(name: str, folder: str) -> str:

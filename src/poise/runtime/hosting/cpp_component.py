@@ -13,6 +13,7 @@ from typing import Annotated, Any
 
 import msgspec
 
+from poise.errors import UsageError
 from poise.runtime.component.component import Component
 from poise.runtime.component.ports import (
     Message,
@@ -135,6 +136,15 @@ def component(
     functions: dict[str, Any] = {}
     for type_ in declared["provided"].values():
         functions |= {n: f for n, f in vars(type_).items() if inspect.isfunction(f)}
+    named = [
+        *functions,
+        *(n for k in ("subscribed", "timers") for n, *_ in declared[k]),
+    ]
+    if twice := next((each for each in named if named.count(each) > 1), None):
+        raise UsageError(
+            f"{name}: two of its timers, inputs and methods are named '{twice}'; name "
+            "each otherwise"
+        )
     for port, policy, size, type_ in declared["subscribed"]:
         handler = _function(port, {"message": type_, "return": None})
         functions[port] = subscribed(**{policy: size})(handler)

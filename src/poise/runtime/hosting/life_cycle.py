@@ -6,7 +6,7 @@ import secrets
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from collections.abc import Set as AbstractSet
 from contextlib import contextmanager
 
@@ -97,8 +97,20 @@ class TaskNews:
         self._ended: set[str] = set()
 
     def begin(self) -> None:
-        """Heed ends again: an action begins, or the component is activated."""
+        """Heed ends again: an action begins, or the component was deactivated."""
         self._ended.clear()
+
+    def ended(self) -> tuple[ActionEnd, ...]:
+        """Return what it said since then, of which the manager may not know yet."""
+        return tuple(self._ends[port] for port in sorted(self._ended))
+
+    def take_over(
+        self, ended: Iterable[ActionEnd], requests: Iterable[TaskRequest]
+    ) -> None:
+        """Say what the incarnation before said, too."""
+        self._ends |= {end.port: end for end in ended}
+        self._ended.update(self._ends)
+        self._requests.extend(requests)
 
     def request(self, verb: Verb, task: str) -> None:
         """Request that something is done with a task."""

@@ -67,7 +67,9 @@ class OutsideRequests:
     ) -> None:
         self._runner_of = runner_of
         self._answer = answer
-        self._threads = ThreadPoolExecutor(_THREADS, "outside")
+        self._threads = ThreadPoolExecutor(
+            _THREADS, "outside", threads.take_poise_name, ("outside",)
+        )
         self._room = threading.Semaphore(_MOST_WAITING)
         self._feeds: dict[tuple[Runner, str], Feed] = {}
 

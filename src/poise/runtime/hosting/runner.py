@@ -8,7 +8,6 @@ exclusion. `ExecutionGate` pauses both.
 from __future__ import annotations
 
 import logging
-import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext
@@ -19,12 +18,12 @@ from poise import threads
 from poise.clock import ComponentClock, wall_time
 from poise.errors import Timeout, last_error
 from poise.priority import before_components
-from poise.runtime._calls import ComponentCounters, Histogram
+from poise.runtime._calls import ComponentCounters
 from poise.runtime.component.component import Component, Context, create, set_parameters
 from poise.runtime.component.error_report import Errors
 from poise.runtime.component.parameters import plain
 from poise.runtime.component.ports import ports_of, timers_of, watchers_of
-from poise.runtime.component.started_calls import StartedCalls
+from poise.runtime.component.started_calls import ANSWER, StartedCalls
 from poise.runtime.connectors.endpoints import ComponentEndpoints
 from poise.runtime.connectors.interface import methods
 from poise.runtime.execution.container_lease import LeaseEnd, LeaseEnded
@@ -36,6 +35,7 @@ from poise.runtime.execution.mailbox import PortQueue, Work
 from poise.runtime.execution.signed_histogram import SignedHistogram
 from poise.runtime.execution.timers import Releases, Timers, release_offset
 from poise.runtime.hosting.checkpoints import Checkpoints
+from poise.runtime.hosting.handler_times import HandlerTimes
 from poise.runtime.hosting.life_cycle import ENDED, ExecutionGate, LifeCycle, TaskNews
 from poise.runtime.hosting.output import write_as
 from poise.wire.codec import codec
@@ -67,9 +67,9 @@ class Runner:
         self.spec = spec
         self.exclusion = Exclusion(spec.name)
         self.ports = ports_of(implementation)
-        self._news = TaskNews(on_change)
+        self.news = TaskNews(on_change)
         self._turns: deque[Work] = deque()
-        calls = StartedCalls(spec.name, self._later)
+        self.started = StartedCalls(spec.name, self._later)
         self.component = create(
             implementation,
             Context(
@@ -80,8 +80,8 @@ class Runner:
                 measure=self._measure,
                 count_process=self._count_process,
                 give_up=self._give_up,
-                request=self._news.request,
-                calls=calls,
+                request=self.news.request,
+                calls=self.started,
                 listen=lambda source: self.endpoints.mailbox.listen(source),  # noqa: PLW0108, made later
                 takes_over=lambda: self.life_cycle.goal == "ready",
                 age=lambda port: self.endpoints.mailbox.age(port),  # noqa: PLW0108
@@ -97,14 +97,14 @@ class Runner:
             self.exclusion,
             self.counters,
             self.ages,
-            {port: partial(self._news.note_end, port) for port in spec.ends},
+            {port: partial(self.news.note_end, port) for port in spec.ends},
         )
         self.life_cycle = LifeCycle()
         self.gate = ExecutionGate(
             spec.name,
             self.exclusion,
             self.endpoints,
-            calls,
+            self.started,
             lambda: self.life_cycle.is_at_work,
             hang=self.hang,
         )
@@ -117,7 +117,11 @@ class Runner:
         self._hook: tuple[str, float] | None = None
         self._measures: dict[str, SignedHistogram] = {}
         self._has_warned_of_measures = False
-        self._work_of: dict[str, Histogram] = {}
+        self._times: HandlerTimes | None = None
+        if spec.weigh:
+            ends = self.endpoints.counts_of_calls
+            self._times = HandlerTimes(ends, self.started)
+            self.endpoints.timing = self._times.timing
         self._errors = Errors(spec.name)
         self._action = spec
         self._changed_parameters = spec.changed_parameters
@@ -125,10 +129,11 @@ class Runner:
         # it first of all
         self.parameters_set: dict[str, Any] = {}
         self._parameters_handed: Mapping[str, Any] = {}
-        # one that comes to take over from another goes on with its action
+        # the actions that it was told of; one that comes to take over from another goes
+        # on with those of that
         is_new = spec.goal == "active" or spec.fresh
-        self._begun = set[int]() if is_new else set(spec.actions)
-        self._thread = threads.daemon(self._main, spec.name[:15])
+        self.begun = set[int]() if is_new else set(spec.actions)
+        self._thread = threads.daemon(self._main, spec.name)
         self.asked_at = clock.now()
         self._cpu_before = 0.0  # of processes that were counted
         self.reason_to_end = ""
@@ -244,10 +249,11 @@ class Runner:
                 if port.queue is not None and port.queue.policy == "keep"
             },
             timers=self.timers.status(now),
-            work={n: h.summary() for n, h in list(self._work_of.items())},
+            work=self._times.cpu() if self._times else {},
+            waits=self._times.waits() if self._times else {},
             chains=self.ages.status(),
-            ends=self._news.ends(),
-            task_requests=self._news.requests(),
+            ends=self.news.ends(),
+            task_requests=self.news.requests(),
             measures={n: h.summary() for n, h in list(self._measures.items())},
         )
 
@@ -283,6 +289,7 @@ class Runner:
 
     def _main(self) -> None:
         write_as(self.spec.name)
+        threads.take_name(self.spec.name)  # what it starts is found by it
         self.counters.begin()
         try:
             while self.life_cycle.state not in ENDED:
@@ -316,7 +323,6 @@ class Runner:
         elif hook == "activate":
             # the incarnation before it may still be at work, and goes first
             self.endpoints.buffer_until_active()
-            self._news.begin()
         # callers wait for one that takes over
         hurry = (
             before_components() if self.life_cycle.goal == "ready" else nullcontext()
@@ -340,15 +346,20 @@ class Runner:
                 state = "failed"
         self._hook = None
         if state == "active":
-            if self.checkpoints is not None:  # what it brought along is not kept yet
-                self.checkpoints.due = self.clock.now()
-            elapsed = wall_time() - release_offset(self.spec.name)
-            self.counters.plan(self.timers.start(self.clock.now(), elapsed))
+            self._start_timers()
         elif hook == "configure":
             self._start = self.clock.now() - self.asked_at
+        elif hook == "deactivate":
+            self.news.begin()
         self.life_cycle.enter(state)
         self.gate.resume()
         self._on_change()
+
+    def _start_timers(self) -> None:
+        if self.checkpoints is not None:  # what it brought along is not kept yet
+            self.checkpoints.due = self.clock.now()
+        elapsed = wall_time() - release_offset(self.spec.name)
+        self.counters.plan(self.timers.start(self.clock.now(), elapsed))
 
     def _note_failure(self, hook: str, error: BaseException) -> None:
         self._errors.note(hook, error, self.clock.now())
@@ -396,7 +407,7 @@ class Runner:
     def _restore(self, checkpoints: Checkpoints) -> None:
         age = checkpoints.restore(self.component, self.endpoints.latest)
         if age is not None:
-            self._begun = set(self.spec.actions)
+            self.begun = set(self.spec.actions)
             text = "component '%s' continues from its state of %.1f s ago"
             log.warning(text, self.spec.name, age)
 
@@ -446,9 +457,9 @@ class Runner:
 
     def _begin_actions(self, actions: Mapping[int, str]) -> None:
         for number, action in actions.items():
-            if number not in self._begun and self._enter():
-                self._begun = {number, *self._begun.intersection(actions)}
-                self._news.begin()
+            if number not in self.begun and self._enter():
+                self.begun = {number, *self.begun.intersection(actions)}
+                self.news.begin()
                 self._run(self.component.begin, "begin", action)
 
     @property
@@ -472,7 +483,8 @@ class Runner:
 
     def _later(self, turn: Callable[[], object]) -> None:
         """Run something on its thread, as soon as nothing else of it runs."""
-        self._turns.append(("answer", turn))
+        self.counters.note_asked()  # else a run is counted that nothing asked for
+        self._turns.append((ANSWER, turn))
         self.endpoints.mailbox.wake()
 
     def _apply_parameters(self, changes: Mapping[str, Any]) -> None:
@@ -547,10 +559,11 @@ class Runner:
     ) -> None:
         """Run user code in the exclusion that was entered, and leave it."""
         self._handler = what, self.clock.now()
-        began = time.thread_time() if self.spec.weigh else 0.0
+        began = self._times.begin() if self._times else None
         try:
             if self.spec.chains:
-                self.ages.run(method, args, taken=taken, is_timer=is_timer)
+                is_later = is_timer or what == ANSWER
+                self.ages.run(method, args, taken=taken, is_later=is_later)
             else:
                 method(*args)
         except LeaseEnded as error:  # its code did nothing wrong
@@ -559,9 +572,8 @@ class Runner:
         except BaseException as error:  # noqa: BLE001
             self._errors.note(what, error, self.clock.now())
         else:
-            if self.spec.weigh:
-                work = time.thread_time() - began
-                self._work_of.setdefault(what, Histogram()).add(work)
+            if self._times and began:
+                self._times.end(what, began)
         finally:
             self._handler = None
             self.counters.note_done()

@@ -51,6 +51,7 @@ from poise.wire.codec import Codec, WireError, codec
 from poise.wire.connections.channel import Channel
 from poise.wire.connections.connection_server import ConnectionServer
 from poise.wire.frame import Frame, FrameKind, Pieces
+from poise.wire.records.status_records import ActionEnd, TaskRequest
 
 SERVE_LIMIT = 1.0
 """A snapshot waits at most this long for the component's turn [s]."""
@@ -91,6 +92,10 @@ class StateTransfer(Struct, frozen=True, kw_only=True):
     latest: Mapping[str, bytes] = {}  # Port -> its last message as a frame
     # Parameters that were set a moment ago: no deployment says so yet
     parameters: Mapping[str, Any] = {}
+    begun: tuple[int, ...] = ()  # The actions that the source was told of
+    # What it said of tasks: the manager may not have heard it yet
+    ended: tuple[ActionEnd, ...] = ()
+    requests: tuple[TaskRequest, ...] = ()
 
 
 TRANSFER: Codec[StateTransfer] = codec(StateTransfer)
@@ -120,9 +125,11 @@ class StateSender:
     def wait_requested(self, limit: float) -> None:
         """Wait up to `limit` [s] until the target has requested everything."""
         if not self._requested.wait(limit):
-            name = self._runner.spec.name
-            text = f"requested the state of component '{name}' within {limit:.3g} s"
-            raise Timeout(f"no target {text}")
+            state = f"the state of component '{self._runner.spec.name}'"
+            if self._has_sent_state:
+                text = f"{state} was not copied ahead within {limit:.3g} s"
+                raise Timeout(f"{text}: is it too large for the link?")
+            raise Timeout(f"no target requested {state} within {limit:.3g} s")
 
     def send(self) -> None:
         """Answer from now on: the component is paused, and its channels are drained."""
@@ -198,6 +205,9 @@ class StateSender:
             heard=runner.endpoints.heard,
             latest=runner.endpoints.latest.to_frames(),
             parameters=dict(runner.parameters_set),
+            begun=tuple(runner.begun),
+            ended=runner.news.ended(),
+            requests=runner.news.requests(),
         )
 
 
@@ -289,7 +299,7 @@ class StateReceiver:
             try:
                 transfers[name] = requested.result(left)
             except TimeoutError:
-                text = f"component '{name}' sent no state within {limit:g} s"
+                text = f"component '{name}' sent no state within {limit:.3g} s"
                 raise Timeout(text) from None
         with before_components():  # users' code
             if self._is_same:
@@ -358,6 +368,9 @@ def restore(
         if transfer.delta and not is_fresh:
             delta = _value_of(transfer.delta, component.restore_delta)
             component.restore_delta(delta)
+    if not is_fresh:
+        runner.begun = set(transfer.begun)
+    runner.news.take_over(transfer.ended, transfer.requests)
     runner.ages.restore(transfer.stamps)
     if adapt is None:
         runner.hand_parameters(transfer.parameters)

@@ -124,6 +124,7 @@ NB_MODULE(_calls, module) {
       .def(nb::init<>())
       .def("add", locked<&Histogram::add>(), nb::arg("value"))
       .def("quantile", locked<&Histogram::quantile>(), nb::arg("share"))
+      .def_prop_ro("sum", locked<&Histogram::sum>())
       .def("summary", [](const Histogram& histogram) {
         CallsLock lock(calls_mutex);
         const auto count = histogram.count();
@@ -147,7 +148,7 @@ NB_MODULE(_calls, module) {
                    "list[tuple[str, int, float, float, int, int]], "
                    "list[tuple[str, int, int, int, int, int, int, int, float, float]]] | None"))
       .def("heartbeat", &PageSampler::heartbeat)
-      .def("commands", &PageSampler::commands);
+      .def("descendants", &PageSampler::descendants);
 
   nb::class_<ComponentCounters>(module, "ComponentCounters", "What a component used and did (counters.h).")
       .def(nb::init<>())

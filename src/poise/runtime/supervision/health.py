@@ -228,18 +228,15 @@ class Watchdog:
         self, name: str, pid: int, known: _Watched, now: float
     ) -> Silence | None:
         """Return why a container does not respond; None: it may yet."""
-        seconds = now - known.since
-        if seconds < _SUSPICIOUS:
-            return None
-        kernel = self._processes
+        seconds, kernel = now - known.since, self._processes
+        if seconds < _SUSPICIOUS or kernel.has_ended(pid):
+            return None  # the zygote reports its end
         silence = partial(
             Silence, container=name, pid=pid, seconds=seconds, heartbeat=known.beat
         )
         if kernel.is_stopped(pid):
-            return silence(
-                reason="its process is stopped (SIGSTOP)",
-                remedy=f"`kill -CONT {pid}` lets it go on",
-            )
+            reason, remedy = _stop(pid, kernel.tracer(pid))
+            return silence(reason=reason, remedy=remedy)
         delays, cpu = kernel.delays(pid), kernel.cpu(pid)
         if not known.looked_at:
             known.looked_at, known.delays = now, delays
@@ -265,3 +262,10 @@ class Watchdog:
             reason = "a thread waits while it holds its interpreter (GIL)"
         remedy = f"`kill -KILL {pid}` ends it, and it is started again"
         return silence(reason=reason, remedy=remedy)
+
+
+def _stop(pid: int, tracer: int) -> tuple[str, str]:
+    """Return why a process is stopped, and what lets it go on."""
+    if tracer:
+        return f"process {tracer} debugs it", "Let it go on there"
+    return "its process is stopped (SIGSTOP)", f"`kill -CONT {pid}` lets it go on"

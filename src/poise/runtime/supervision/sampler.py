@@ -141,7 +141,7 @@ class Sampler:
         for _, pid, page in containers:
             growth = self._growth[pid] = before.get(pid) or MemoryGrowth()
             if growth.is_due(now):
-                size = sum(map(private_memory, [pid, *page.commands()]))
+                size = sum(map(private_memory, [pid, *page.descendants()]))
                 growth.update(now, size)
         return {name: self._growth[pid].rate for name, pid, _ in containers}
 
@@ -191,7 +191,7 @@ class Sampler:
         for place, (_, pid, page) in enumerate(containers):
             known, is_due = before.get(pid), self._count == place * _SELDOM
             if known is None or is_due or not one_grew:
-                processes = [pid, *page.commands()]
+                processes = [pid, *page.descendants()]
                 resident = sum(map(resident_memory, processes))
                 has_grown = known is not None and resident > _GROWN * known.resident
                 one_grew = one_grew or has_grown

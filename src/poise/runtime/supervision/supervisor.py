@@ -272,9 +272,12 @@ class Supervisor:
             self._fence(process, now)
             if spec is not None and (self.is_cut_off or not knows_better):
                 self._tell(process, spec)
-        elif spec is not None and not self.trouble and not self._awaits(name):
+        elif spec is not None and not self._awaits(name):
             backoff = self._backoffs.get(name)
-            if backoff is None or now >= backoff.again_at:
+            if self.trouble:
+                why = f"cannot be started: {self.trouble}"
+                self.health.enter(name, "restarting", why)
+            elif backoff is None or now >= backoff.again_at:
                 self._start(spec)
 
     def _tell(self, process: ContainerProcess, spec: ContainerSpec) -> None:

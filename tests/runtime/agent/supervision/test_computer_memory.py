@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
-from poise.kernel_counters import ComputerMemory, MemoryRoom
+from poise.kernel_counters import ComputerMemory, MemoryRoom, cores_of_computer
 
 MIB = 1 << 20
 
@@ -78,3 +79,38 @@ def test_a_group_of_version_1_counts(tmp_path: Path) -> None:
 
 def test_a_kernel_that_says_nothing_has_no_known_limit(tmp_path: Path) -> None:
     assert ComputerMemory(tmp_path).read() is None
+
+
+def test_the_size_is_that_of_the_least_limit(tmp_path: Path) -> None:
+    mount = "31 1 0:28 / {0} rw - cgroup2 cgroup2 rw"
+    proc = kernel(tmp_path, mount, "0::/robot")
+    assert ComputerMemory(proc).size() == 1000 * MIB
+    write(
+        tmp_path / "memory" / "robot",
+        memory__events="oom_kill 0",
+        memory__max=700 * MIB,
+        memory__current=100 * MIB,
+        memory__stat="inactive_file 0",
+    )
+    assert ComputerMemory(proc).size() == 700 * MIB
+    assert ComputerMemory(tmp_path).size() == 0
+
+
+def test_the_quota_of_a_group_above_limits_the_cores(tmp_path: Path) -> None:
+    mount = "31 1 0:28 / {0} rw - cgroup2 cgroup2 rw"
+    proc = kernel(tmp_path, mount, "0::/robot/agent")
+    group = tmp_path / "memory" / "robot"
+    write(group / "agent", cpu__max="max 100000")
+    assert cores_of_computer(proc) == len(os.sched_getaffinity(0))
+    write(group, cpu__max="50000 100000")
+    assert cores_of_computer(proc) == 0.5
+
+
+def test_a_quota_of_version_1_limits_the_cores(tmp_path: Path) -> None:
+    mount = "31 1 0:28 / {0} rw - cgroup cgroup rw,cpu"
+    proc = kernel(tmp_path, mount, "4:cpu:/robot")
+    group = tmp_path / "memory" / "robot"
+    write(group, cpu__cfs_quota_us=-1, cpu__cfs_period_us=100_000)
+    assert cores_of_computer(proc) == len(os.sched_getaffinity(0))
+    write(group, cpu__cfs_quota_us=25_000, cpu__cfs_period_us=100_000)
+    assert cores_of_computer(proc) == 0.25

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
+
 from poise.kernel_counters import Processes
 from poise.runtime.supervision.health import CHECK_EVERY, Silence, Watchdog
 
@@ -15,6 +18,8 @@ class World(Processes):
         self.now = 100.0
         self.beats = 1
         self.stopped = False
+        self.ended = False
+        self.debugger = 0
         self.used = 0.0
         self.waited = 0.0
         self.is_runnable = False
@@ -23,6 +28,14 @@ class World(Processes):
     def is_stopped(self, pid: int) -> bool:
         assert pid == PID
         return self.stopped
+
+    def tracer(self, pid: int) -> int:
+        assert pid == PID
+        return self.debugger
+
+    def has_ended(self, pid: int) -> bool:
+        assert pid == PID
+        return self.ended
 
     def cpu(self, pid: int) -> float:
         assert pid == PID
@@ -69,6 +82,30 @@ def test_a_stopped_process_is_noticed_within_a_second_and_once() -> None:
     (over,) = world.go_on(1.0, beats=True)
     assert over.reason == ""
     assert over.seconds > 60.0
+
+
+def test_a_process_that_a_debugger_holds_is_not_told_to_be_continued() -> None:
+    world = World()
+    world.go_on(1.0, beats=True)
+    world.stopped, world.debugger = True, 9
+    (found,) = world.go_on(0.8)
+    assert found.reason == "process 9 debugs it"
+    assert "kill" not in found.remedy
+
+
+def test_a_debugger_is_found(tmp_path: Path) -> None:
+    (tmp_path / "7").mkdir()
+    (tmp_path / "7" / "status").write_text("Name:\ta: b\nTracerPid:\t9\nUid:\t0\t0\n")
+    assert Processes(tmp_path).tracer(7) == 9
+    assert Processes(tmp_path).tracer(8) == 0
+    assert Processes().tracer(os.getpid()) == 0
+
+
+def test_one_that_has_ended_holds_no_interpreter() -> None:
+    world = World()
+    world.go_on(1.0, beats=True)
+    world.ended = True
+    assert world.go_on(60.0) == []
 
 
 def test_an_interpreter_that_is_held_is_noticed_within_a_second() -> None:

@@ -10,6 +10,7 @@ void ComponentCounters::begin() {
 }
 
 void ComponentCounters::watch(int process) {
+  command_ = std::make_unique<ProcessTree>("/proc", process);
   slot_->jobs.is_process.set(1);
   slot_->jobs.thread.set(process);
 }
@@ -25,13 +26,13 @@ void ComponentCounters::note_idle() {
   slot_->jobs.is_idle.set(1);
 }
 
-double ComponentCounters::cpu() const {
+double ComponentCounters::cpu() {
   const Jobs& jobs = slot_->jobs;
   const std::int32_t thread = jobs.thread.get();
   std::int64_t used = 0;
-  const auto clock = jobs.is_process.get() ? process_cpu_clock : thread_cpu_clock;
-  if (!thread || !read_cpu(clock(thread), used)) used = jobs.cpu.get();
-  return 1e-9 * static_cast<double>(used);
+  const bool is_read = thread && (jobs.is_process.get() ? command_->read(used)
+                                                        : read_cpu(thread_cpu_clock(thread), used));
+  return 1e-9 * static_cast<double>(is_read ? used : jobs.cpu.get());
 }
 
 void ComponentCounters::plan(const std::vector<std::pair<double, double>>& timers) {

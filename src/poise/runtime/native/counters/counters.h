@@ -6,13 +6,14 @@
 #include <utility>
 #include <vector>
 
+#include "process_tree.h"
 #include "stats_page.h"
 
 namespace poise {
 
 class ComponentCounters {
  public:
-  // Count the CPU time of this thread, or of all threads of a process, from now on.
+  // Count the CPU time of this thread, or of a process and all that it started, from now on.
   void begin();
   void watch(int process);
   // Count no more; of the thread that began, and only there, the time so far stays.
@@ -28,7 +29,7 @@ class ComponentCounters {
   // Let these timers ask for jobs, and no others: their starts and periods [s].
   void plan(const std::vector<std::pair<double, double>>& timers);
 
-  double cpu() const;  // [s]
+  double cpu();  // [s]
 
   // As for `Slot`; in a full page, timers may stay outside.
   bool enter(const std::shared_ptr<StatsPage>& page, const std::string& name,
@@ -42,6 +43,7 @@ class ComponentCounters {
 
   Slot slot_;
   std::vector<std::unique_ptr<Slot>> timers_;
+  std::unique_ptr<ProcessTree> command_;
 };
 
 }  // namespace poise

@@ -30,6 +30,7 @@ void Histogram::add(double value) {
   ++(*octave)[index % per_octave];
   ++count_;
   sum_ += value;
+  minimum_ = std::min(minimum_, value);
   maximum_ = std::max(maximum_, value);
 }
 
@@ -42,7 +43,7 @@ double Histogram::quantile(double share) const {
       seen += (*octaves_[i])[j];
       if (seen == 0 || static_cast<double>(seen) < rank) continue;
       const double bucket = static_cast<double>(i * per_octave + j) + lowest * per_octave;
-      return std::min(std::exp2((bucket - 0.5) / per_octave), maximum_);
+      return std::clamp(std::exp2((bucket - 0.5) / per_octave), minimum_, maximum_);
     }
   }
   return maximum_;

@@ -3,12 +3,13 @@
 
 #include <array>
 #include <cstdint>
+#include <limits>
 #include <memory>
 
 namespace poise {
 
-// Quantiles are right within 5 %, mean and maximum are exact. An octave takes memory
-// only when a value fell into it.
+// Quantiles are right within 5 %, and within the range of the values; mean and maximum are
+// exact. An octave takes memory only when a value fell into it.
 class Histogram {
  public:
   static constexpr int per_octave = 8;
@@ -20,6 +21,7 @@ class Histogram {
 
   std::uint64_t count() const { return count_; }
   double mean() const { return count_ ? sum_ / static_cast<double>(count_) : 0.0; }
+  double sum() const { return sum_; }
   double maximum() const { return maximum_; }
 
   // The value below which `share` of the values lie.
@@ -31,6 +33,7 @@ class Histogram {
   std::array<std::unique_ptr<Octave>, highest - lowest + 1> octaves_;
   std::uint64_t count_ = 0;
   double sum_ = 0.0;
+  double minimum_ = std::numeric_limits<double>::infinity();
   double maximum_ = 0.0;
 };
 

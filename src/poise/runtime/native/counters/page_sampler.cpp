@@ -6,13 +6,19 @@ namespace nb = nanobind;
 
 namespace poise {
 
+static constexpr double look_every = 1.0;   // [s]
+static constexpr double usual_rest = 0.01;  // what Poise uses itself [cores]
+
 nb::object PageSampler::read() {
   std::int64_t used = 0;
   learn();
-  if (!read_cpu(process_cpu_clock(process_), used)) return nb::none();
+  look_for_threads();
+  if (!tree_.read(used)) return nb::none();
   const double now = 1e-9 * static_cast<double>(wall_now());
   attribute(now);
-  double cpu = 1e-9 * static_cast<double>(used);
+  const double cpu = 1e-9 * static_cast<double>(used);
+  read_at_ = now;
+  rest_ = cpu;
   nb::list components, connectors;
   for (std::size_t i = 0; i < known_.size(); ++i) {
     const std::uint64_t id = known_[i].id;
@@ -21,7 +27,7 @@ nb::object PageSampler::read() {
     if (kind != Kind::component && kind != Kind::connector) continue;
     if (!known_[i].has_name) continue;  // calls from outside: over no connector
     nb::tuple sample =
-        kind == Kind::component ? component_sample(i, cpu) : connector_sample(i);
+        kind == Kind::component ? component_sample(i) : connector_sample(i);
     // a record that was reused meanwhile counts from the next sample on
     if (memory_.is_still(i, id))
       (kind == Kind::component ? components : connectors).append(sample);
@@ -30,15 +36,21 @@ nb::object PageSampler::read() {
   return nb::make_tuple(now, cpu, components, connectors);
 }
 
-std::vector<int> PageSampler::commands() const {
-  std::vector<int> found;
-  for (std::size_t i = 0; i < memory_.used(); ++i) {
+// Look whose threads they are when the process uses more than its components and Poise do.
+void PageSampler::look_for_threads() {
+  if (!looked_at_) looked_at_ = read_at_;
+  const double since = read_at_ - looked_at_;
+  if (since < look_every || rest_ - looked_rest_ < usual_rest * since) return;
+  looked_at_ = read_at_;
+  looked_rest_ = rest_;
+  std::vector<int> threads;
+  for (std::size_t i = 0; i < known_.size(); ++i) {
     const Record& record = memory_[i];
-    if (!record.id.get() || record.kind.get() != Kind::component) continue;
-    const int process = record.jobs.thread.get();
-    if (record.jobs.is_process.get() && process) found.push_back(process);
+    if (!known_[i].id || record.kind.get() != Kind::component) continue;
+    const int thread = record.jobs.thread.get();
+    if (thread && !record.jobs.is_process.get()) threads.push_back(thread);
   }
-  return found;
+  own_threads_.look(threads);
 }
 
 // Take note of records that came or went.
@@ -123,7 +135,7 @@ double PageSampler::running_over(std::size_t index) {
   return 1e-9 * static_cast<double>(known.thread->cpu - known.began);
 }
 
-nb::tuple PageSampler::component_sample(std::size_t index, double& of_commands) {
+nb::tuple PageSampler::component_sample(std::size_t index) {
   const Jobs& jobs = memory_[index].jobs;
   Known& known = known_[index];
   const int thread = jobs.thread.get();
@@ -133,16 +145,27 @@ nb::tuple PageSampler::component_sample(std::size_t index, double& of_commands) 
     if (!known.thread || known.thread->thread() != thread)
       known.thread = std::make_unique<ThreadCounters>(proc_, thread);
     if (known.thread->read()) used = known.thread->cpu;
-    if (jobs.is_process.get() && read_cpu(process_cpu_clock(thread), used))
-      of_commands += 1e-9 * static_cast<double>(used);
+    if (jobs.is_process.get()) read_command(known, thread, used);
   }
+  if (thread && !jobs.is_process.get())
+    known.own = own_threads_.cpu(thread) + tree_.started_by(thread);
   std::uint64_t asked = known.asked + jobs.asked.get(), done = jobs.done.get();
   if (!asked) asked = done = known.served;
-  const double cpu = 1e-9 * static_cast<double>(used) + known.called;
+  const double cpu = 1e-9 * static_cast<double>(used + known.own) + known.called;
+  rest_ -= cpu;
   // jobs tell better whether it keeps up, and the kernel was not asked every time
   const bool has_wait = known.thread && !asked;
   const double wait = has_wait ? 1e-9 * static_cast<double>(known.thread->wait) : 0.0;
   return nb::make_tuple(known.name, memory_[index].epoch.get(), cpu, wait, asked, done);
+}
+
+// What a command started belongs to it, as a script does little itself.
+void PageSampler::read_command(Known& known, int process, std::int64_t& used) {
+  if (!known.command || known.command->root() != process) {
+    known.command = std::make_unique<ProcessTree>(proc_, process);
+    known.command->look_closely();
+  }
+  known.command->read(used);
 }
 
 nb::tuple PageSampler::connector_sample(std::size_t index) const {
