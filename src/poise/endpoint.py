@@ -70,7 +70,7 @@ def is_loopback(host: str) -> bool:
 
 def _host_fault(host: str) -> str:
     if _is_ip(host):
-        return ""
+        return _link_local_fault(host) if ":" in host else ""
     if ":" in host:
         return f"{quoted(host)} is not a valid IPv6 address"
     if re.fullmatch(r"[0-9.]+", host):
@@ -78,6 +78,15 @@ def _host_fault(host: str) -> str:
     if len(host) > _LONGEST_NAME or not _NAME.fullmatch(host):
         return f"{quoted(host)} is not a valid host name"
     return ""
+
+
+def _link_local_fault(host: str) -> str:
+    if not ip_address(host).is_link_local:
+        return ""
+    return (
+        f"{quoted(host)} is a link-local address, which each computer reaches through "
+        "an interface of its own"
+    )
 
 
 def _port_fault(port: str | None) -> str:

@@ -113,7 +113,7 @@ class Field:
             self.computers[name].popen(argv)
         self.file = folder / "robot.yaml"
         computers = "\n".join(
-            f'  {n}: {{cpu: 1, memory: 1 GiB, address: "{a}"{MORE.get(n, "")}}}'
+            f'  {n}: {{cpu: 0.5, memory: 512 MB, address: "{a}"{MORE.get(n, "")}}}'
             for n, a in addresses.items()
         )
         self.file.write_text(FILE.format(name=self.name, computers=computers))
@@ -403,9 +403,6 @@ def test_a_second_manager_is_refused_until_the_first_is_gone(
     assert second.process.wait(LONG) == 3
     pid = up.process.pid
     assert second.says(rf"'{field.name}' is managed by user .*\(process {pid}\) since")
-    stop = run_poise("stop", "--file", field.file)
-    assert stop.returncode == 3
-    assert f"(process {pid})" in stop.stderr
     assert field.pids() == before
     wait_long(is_well)
 
@@ -414,4 +411,6 @@ def test_a_second_manager_is_refused_until_the_first_is_gone(
     third = Up(field, other)
     third.wait_for("is running: taking it over")
     third.wait_for("is up with task")
-    assert third.end() == 128 + 15
+    stop = run_poise("stop", "--file", field.file)
+    assert (stop.returncode, stop.stdout) == (0, "stopped\n")
+    assert third.process.wait(LONG) == 0

@@ -245,6 +245,22 @@ def test_the_cheapest_computers_for_tasks(phases_file: Path) -> None:
     assert list(answer["tasks"]) == ["talk", "serve"]
 
 
+def test_where_nothing_fits_the_cheapest_computers_say_what_is_missing(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "robot.yaml"
+    path.write_text("""
+robot: full
+computers: {one: {cpu: 1, memory: 1 GiB}}
+architectures:
+  servo: {function: servo, components: {eye: {cpu: 60%}, arm: {cpu: 60%}}}
+tasks: {go: {actions: [{name: go, functions: [servo]}]}}
+""")
+    said = call(path, "--smallest").stdout
+    assert said == call(path, "--task", "go").stdout
+    assert "It would fit with 0.2 more cpu on one" in said
+
+
 def test_the_cheapest_computers_say_what_will_be_late_there(tmp_path: Path) -> None:
     path = tmp_path / "robot.yaml"
     path.write_text("""
@@ -258,9 +274,11 @@ architectures:
 chains: {see: {through: [eye, arm], deadline: 3 ms}}
 tasks: {go: {actions: [{name: go, functions: [servo]}]}}
 """)
-    assert "not predicted: see, at least" in call(path, "--smallest").stdout
+    late = "chain 'see' misses its deadline: 100% of its data is older than 3 ms"
+    assert late in call(path, "--smallest").stdout
     answer = json.loads(call(path, "--smallest", "--json").stdout)
-    assert answer["tasks"]["go"]["predicted"]["go"]["unknown"] == ["see"]
+    (chain,) = answer["tasks"]["go"]["predicted"]["go"]["chains"]
+    assert (chain["name"], chain["late"]) == ("see", 1.0)
 
 
 @pytest.mark.parametrize(

@@ -152,7 +152,7 @@ def test_measures_shared_isolated_and_command_line_components(
     # the speed of a shared machine may change by a factor of two
     assert 1 / 48 < thinks / mind.handlers["think"].mean < 1 / 6
     assert set(profile.components) == {"eye", "memory", "heart", "mind", "archive"}
-    assert profile.components["eye"].timers["see"].missed >= 0
+    assert profile.components["eye"].timers["see"].maximum > 0
     assert profile.components["heart"].start > 0
     assert profile.connectors[BETWEEN[1]].calls > 0
     assert set(BETWEEN) <= set(profile.connectors)

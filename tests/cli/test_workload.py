@@ -22,7 +22,7 @@ from tests.recordings import write_recording
 ROBOT = """\
 robot: heard
 computers:
-  main: {cpu: 1, memory: 1 GiB}
+  main: {cpu: 0.3, memory: 1 GiB}
 architectures:
   hearing:
     function: hearing
@@ -107,6 +107,57 @@ def test_who_was_recorded_need_not_run(robot: Robot, folder: Path) -> None:
     assert rig.played == {"ear.heard-mind.heard": f"{PLAYER}.output_0-mind.heard"}
 
 
+CALLING = """\
+robot: heard
+computers: {main: {cpu: 1, memory: 1 GiB}}
+architectures:
+  asking: {function: ask, components: {asker: {implementation: "asking:Asker"}}}
+  also: {function: also, components: {other: {implementation: "asking:Asker"}}}
+  knowing: {function: know, components: {sage: {implementation: "asking:Sage"}}}
+connectors:
+  - {between: [asker.answers, sage.answers]}
+  - {between: [other.answers, sage.answers]}
+tasks: {think: {actions: [{name: think, functions: [ask, also, know]}]}}
+"""
+ANSWERS = """
+from typing import Protocol
+from poise import Component, Provided, Required
+
+class Answers(Protocol):
+    def answer(self, number: int) -> int: ...
+
+class Asker(Component):
+    answers: Required[Answers]
+
+class Sage(Component):
+    answers: Provided[Answers]
+
+    def answer(self, number: int) -> int:
+        return number
+"""
+
+
+def test_who_calls_is_answered_although_its_calls_were_recorded(folder: Path) -> None:
+    (folder / "robot.yaml").write_text(CALLING)
+    (folder / "asking.py").write_text(ANSWERS)
+    calls = [Input(f"{name}.answers", 0.1, b"", b"") for name in ("asker", "other")]
+    write_recording(folder / "run.mcap", "heard", calls)
+    workload = Workload(recording="run.mcap")
+    busy = replace(load(folder / "robot.yaml"), workload=workload)
+    rig = rig_of(busy, "asking", "main", apart=False)
+    assert rig.placement == {"asker": "main", "sage": OTHERS, PLAYER: OTHERS}
+    assert [str(each) for each in rig.robot.connectors] == [
+        "asker.answers-sage.answers",
+        f"{PLAYER}.output_0-sage.answers",
+    ]
+    ports = rig.robot.component(PLAYER).parameters["ports"]
+    assert ports["output_0"]["sources"] == ("other.answers",)
+    rig = rig_of(busy, "knowing", "main", apart=False)
+    assert rig.placement == {"sage": "main", PLAYER: OTHERS}
+    ports = rig.robot.component(PLAYER).parameters["ports"]
+    assert ports["output_0"]["sources"] == ("asker.answers", "other.answers")
+
+
 def test_what_is_generated_wins_over_what_was_recorded(
     robot: Robot, folder: Path
 ) -> None:
@@ -118,7 +169,7 @@ def test_what_is_generated_wins_over_what_was_recorded(
 
 
 def test_says_what_is_wrong_with_a_recording(robot: Robot, folder: Path) -> None:
-    with pytest.raises(UsageError, match="`poise run --record` writes one"):
+    with pytest.raises(UsageError, match="`poise run --record` writes a recording"):
         played(replace(robot, workload=Workload(recording="none")))
     with pytest.raises(UsageError, match=r"to another: `poise run --record` records"):
         played(replace(robot, workload=recorded(folder, "nose.smelt")))

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 
 import pytest
 from msgspec.structs import replace
 
 from poise.errors import UsageError
 from poise.manage.agent_connections.agents import Agents
-from poise.manage.control_socket.commands import LogCommand
-from poise.manage.control_socket.immediate_commands import _read_log, begin_of
+from poise.manage.control_socket.commands import LogCommand, TapCommand
+from poise.manage.control_socket.immediate_commands import (
+    _read_log,
+    _read_tap,
+    begin_of,
+)
+from poise.model.robot import Connector, ConnectorEnd
 from poise.wire.records.request_records import OutputLine, OutputLines
 from poise.wire.records.status_records import (
     AgentStatus,
@@ -73,6 +78,27 @@ def test_a_port_without_a_connector_is_looked_at_where_its_component_works() -> 
 def test_one_that_is_not_there_is_answered_with_those_that_are() -> None:
     with pytest.raises(UsageError, match=r"no connector 'nose' \(there are: ear"):
         begin_of(STATUSES, "nose")
+
+
+@pytest.mark.parametrize("asked", ["eye-mind /scan", "/scan", "mind"])
+def test_a_topic_of_ros2_is_known_and_left_to_it(asked: str) -> None:
+    ends = (ConnectorEnd("eye", ""), ConnectorEnd("mind", ""))
+    robot = SimpleNamespace(
+        all_connectors=lambda: (Connector(between=ends, topic="/scan"),)
+    )
+    live: Any = SimpleNamespace(
+        robot=robot,
+        placement=lambda: {"eye": "left", "mind": "left"},
+        agents=SimpleNamespace(statuses=dict),
+    )
+    with pytest.raises(UsageError) as said:
+        _read_tap(live, TapCommand(connector=asked, viewer="v"))
+    if asked == "mind":
+        assert str(said.value) == "no connector 'mind' (there are: eye-mind /scan)"
+    else:
+        assert str(said.value) == (
+            f"'{asked}' is made by ROS 2 alone: `ros2 topic echo /scan` shows it"
+        )
 
 
 @pytest.mark.parametrize(("most", "texts"), [(0, []), (1, ["b"]), (9, ["a", "b"])])

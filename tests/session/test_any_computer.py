@@ -64,7 +64,7 @@ class Field:
             self.popen(name, *words, "--folder", str(self.computers[name].folder))
         (folder / "any_computer.py").write_text(CODE)
         computers = "\n".join(
-            f'  {n}: {{cpu: 1, memory: 1 GiB, address: "{c.address}"}}'
+            f'  {n}: {{cpu: 0.5, memory: 512 MB, address: "{c.address}"}}'
             for n, c in self.computers.items()
         )
         self.file = folder / "robot.yaml"

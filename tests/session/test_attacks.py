@@ -25,6 +25,7 @@ from poise.kernel_counters import proportional_memory
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.control_socket.agents_without_manager import NoManager, ask_agents
 from poise.session.keys import Authority, init_keys
+from poise.wire import refusal
 from poise.wire.control_session import open_session
 from poise.wire.credentials import Credentials
 from poise.wire.heartbeats import UdpDatagrams
@@ -344,3 +345,24 @@ def test_of_a_listener_without_tls_this_is_said(guarded: Guarded) -> None:
         agent = Endpoint("127.0.0.1", plain.getsockname()[1])
         assert "not answer in TLS: it hangs" in why_refused(agent, guarded.owner)
         assert "another program have its port" in why_refused(agent, None)
+
+
+@pytest.mark.parametrize("hangs", [True, False])
+def test_that_large_packets_do_not_get_through_is_said(
+    guarded: Guarded, monkeypatch: pytest.MonkeyPatch, *, hangs: bool
+) -> None:
+    """A way with an MTU of 576, and without ICMP, was taken for an agent that hangs."""
+    sizes = []
+
+    def handshake(plain: socket.socket, _: object) -> str:
+        sizes.append(plain.getsockopt(socket.IPPROTO_TCP, socket.TCP_MAXSEG))
+        if hangs or sizes[-1] > 536:
+            raise TimeoutError
+        return ""
+
+    monkeypatch.setattr(refusal, "_of_keys", handshake)
+    with socket.create_server(("127.0.0.1", 0)) as plain:
+        agent = Endpoint("127.0.0.1", plain.getsockname()[1])
+        why = why_refused(agent, guarded.owner)
+    assert sizes[1] < 536 < sizes[0]
+    assert ("hangs" in why, "small packets reach it" in why) == (hangs, not hangs)

@@ -6,6 +6,7 @@ import os
 import shutil
 import time
 from pathlib import Path
+from typing import Any, cast
 
 import pytest
 
@@ -60,3 +61,10 @@ def test_what_it_raises_ends_the_run(robot: poise.Robot) -> None:
 
     with pytest.raises(LookupError, match="no cup is there"):
         poise.run(robot, seconds=LONG, meanwhile=fail)
+
+
+def test_what_is_no_function_is_refused_before_anything_starts(
+    robot: poise.Robot,
+) -> None:
+    with pytest.raises(poise.UsageError, match="meanwhile: 3 is no function"):
+        poise.run(robot, seconds=1.0, meanwhile=cast("Any", 3))

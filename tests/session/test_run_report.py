@@ -56,6 +56,13 @@ def test_cpu_is_a_share_of_what_the_computer_has() -> None:
     assert cpu_shares(robot, BEGIN, END, {"left": 2.0}) == {"left": 0.25}
 
 
+def test_cpu_of_a_real_computer_is_a_share_of_its_own_cores() -> None:
+    """Its cores are whole, however fast they are."""
+    left = Computer(name="left", capacity={"cpu": 2.0}, speed=0.5, address="10.0.0.1")
+    robot = Robot(name="r", computers=(left,))
+    assert cpu_shares(robot, BEGIN, END, {}) == {"left": 0.25}
+
+
 def test_a_computer_that_was_not_watched_has_no_share() -> None:
     robot = Robot(name="r", computers=(Computer(name="left", capacity={"cpu": 1.0}),))
     assert cpu_shares(robot, {}, END, {}) == {}

@@ -1,4 +1,4 @@
-"""`up --record` keeps the recording before: it may be of what broke."""
+"""`--record` keeps the recording before: it may be of what broke."""
 
 from __future__ import annotations
 
@@ -8,16 +8,25 @@ import pytest
 
 import poise
 from poise.errors import UsageError
-from poise.session.up import _recorder
+from poise.model.robot import Robot
+from poise.session.record_run import keeping, new_recording
 
 
 def test_the_recording_before_stays_beside_the_new_one(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     for _ in range(2):
-        _recorder(path, "r").close()
+        new_recording(path, "r").close()
         assert path.stat().st_size
     assert (tmp_path / "run-before.mcap").read_bytes()
     assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_a_run_keeps_the_recording_before_too(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    path.write_bytes(b"the only one")
+    with keeping(Robot(name="r"), (), path, lambda _: None):
+        pass
+    assert (tmp_path / "run-before.mcap").read_bytes() == b"the only one"
 
 
 def test_one_that_cannot_be_renamed_is_an_error(tmp_path: Path) -> None:
@@ -25,7 +34,7 @@ def test_one_that_cannot_be_renamed_is_an_error(tmp_path: Path) -> None:
     path.touch()
     (tmp_path / "run-before.mcap").mkdir()
     with pytest.raises(UsageError, match="cannot be renamed: Is a directory"):
-        _recorder(path, "r")
+        new_recording(path, "r")
 
 
 ROBOT = """

@@ -14,15 +14,24 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
+from msgspec.msgpack import encode
 
 import poise
 from poise.emulate import probe_host
-from poise.errors import UsageError
+from poise.errors import RunError, UsageError
+from poise.manage.control_socket.agents_without_manager import NoManager
+from poise.manage.control_socket.commands import StopReport
+from poise.manage.deploy.desired import Desired
+from poise.manage.deploy.takeover import newest_record
+from poise.session.running_robots import without_manager
 from poise.session.running_robots.local_robots import listing, robots_here
 from poise.view.robot_view import LiveReader
-from poise.wire.robots_here import folder, path_of
+from poise.wire.records.deployment_records import Deployment
+from poise.wire.records.status_records import AgentStatus
+from poise.wire.robots_here import AgentAddresses, folder, path_of
 from tests.command import run_poise
 from tests.waiting import LONG, wait_long
 
@@ -341,3 +350,36 @@ def test_who_gives_the_file_of_a_robot_that_its_manager_emulates_learns_its_name
         manager.listen()
         with pytest.raises(UsageError, match=r"'hello' runs here.* --robot hello "):
             asks(robot)
+
+
+@pytest.mark.parametrize("answer", ["stopped", "something still runs", "elsewhere"])
+def test_a_stop_by_the_file_goes_through_the_manager(
+    monkeypatch: pytest.MonkeyPatch, answer: str
+) -> None:
+    """It was refused while a manager lived."""
+    agents = AgentAddresses("r", {"eye": "tcp/127.0.0.1:7447"})
+    monkeypatch.setattr(without_manager, "_addresses", lambda _: agents)
+    monkeypatch.setattr(without_manager, "stop_agents", lambda _: pytest.fail("ended"))
+    remaining = () if answer == "stopped" else (answer,)
+    ask = Mock(return_value=StopReport(remaining))
+    if answer == "elsewhere":
+        ask.side_effect = NoManager(answer, status=None)
+    monkeypatch.setattr(without_manager, "ask", ask)
+    hello = poise.model.load(HELLO / "robot.yaml")
+    with (
+        pytest.raises(RunError, match=answer) if remaining else contextlib.nullcontext()
+    ):
+        without_manager.stop_without_manager(hello)
+
+
+def test_what_agents_end_no_standby_starts_again() -> None:
+    """The standby of an agent that was out of reach has an older record."""
+    eye = AgentStatus(computer="eye", generation=70000, uptime=1.0, cpu=0.0)
+    agents = Mock(**{"statuses.return_value": {"eye": eye}, "manager.term": 2})
+    without_manager._end_all(agents, {"eye"})
+    last = agents.begin_deploy.call_args.args[1]
+    before = Deployment(
+        generation=90000, containers=(), desired=encode(Desired()), term=1
+    )
+    assert last.is_last
+    assert newest_record([before, last]).is_stopped

@@ -7,8 +7,10 @@ import socket
 import struct
 from collections.abc import Iterator
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
+import zenoh
 
 from poise.endpoint import Endpoint
 from poise.errors import RunError
@@ -27,6 +29,19 @@ def test_an_address_that_cannot_be_had_is_an_error(address: str, why: str) -> No
         endpoint = "tcp/" + address.format(busy=busy.getsockname()[1])
         with pytest.raises(RunError, match=f"cannot listen on {endpoint}: .*{why}"):
             open_session(listen=[endpoint])
+
+
+def test_a_session_without_threads_names_the_limit(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class PanicException(BaseException):
+        """As Rust's panics are in Python."""
+
+    why = "OS can't spawn worker thread: Resource temporarily unavailable (os error 11)"
+    panic = PanicException(why)
+    monkeypatch.setattr(zenoh, "open", Mock(side_effect=panic))
+    with pytest.raises(RunError, match="no thread can be started: raise the limit"):
+        open_session()
 
 
 def test_the_last_part_of_an_ipv6_address_is_no_port() -> None:

@@ -34,25 +34,17 @@ log = logging.getLogger(__name__)
 _LAST = 65535
 
 
-def _computer_name(text: str) -> str:
-    return _name(text, "a computer's")
-
-
-def _robot_name(text: str) -> str:
-    return _name(text, "a robot's")
-
-
-def _name(text: str, whose: str) -> str:
+def _name(of: typer.CallbackParam, text: str) -> str:
     """Return a name that a robot file may have; files and units are called so."""
     if not re.fullmatch(NAME, text):
-        raise UsageError(f"{quoted(text)} is not {whose} name: {NAME_SAYS}")
+        raise UsageError(f"{quoted(text)} is not a {of.name}'s name: {NAME_SAYS}")
     return text
 
 
 ComputerName = Annotated[
-    str, typer.Argument(help="This computer's name.", callback=_computer_name)
+    str, typer.Argument(help="This computer's name.", callback=_name)
 ]
-RobotName = Annotated[str, typer.Option(help="The robot's name.", callback=_robot_name)]
+RobotName = Annotated[str, typer.Option(help="The robot's name.", callback=_name)]
 AddressOption = Annotated[
     str, typer.Option(help="IP address by which the others reach this computer.")
 ]

@@ -169,7 +169,9 @@ def plan_command(
         )
         how = partial(_decide, robot, solve)
         if smallest:
-            feasible = _answer_smallest(problems, partial(how, method), json=json)
+            feasible = _answer_smallest(
+                problems, partial(how, method), interrupts.has_come, json=json
+            )
         else:
             (one,) = problems.values()
             if compare is not None:
@@ -338,7 +340,11 @@ def _answer(
 
 
 def _answer_smallest(
-    tasks: Mapping[str, plan.TaskProblem], how: Decider, *, json: bool
+    tasks: Mapping[str, plan.TaskProblem],
+    how: Decider,
+    stop: Callable[[], bool],
+    *,
+    json: bool,
 ) -> bool:
     """Print the cheapest computers on which each task fits; return whether all do."""
     problems = [*tasks.values()]
@@ -349,6 +355,9 @@ def _answer_smallest(
         return decided[-1].task_result
 
     few = plan.smallest(problems, decide)
+    if not few.feasible:  # why not is not looked for in each set
+        for phase in few.results[-1].results.values():
+            phase.find_conflict(stop)
     times = [
         next(each.predicted for each in decided if each.task_result is result)
         for result in few.results

@@ -16,7 +16,6 @@ from poise.cli.main import Interrupts
 from poise.cli.options import AsJson, parse_option, print_json, running, show
 from poise.cli.running_robot_command import Robot
 from poise.errors import UsageError
-from poise.manage.agent_connections.statuses import connectors_of
 from poise.manage.observe.estimates import DemandEstimate
 from poise.session.folders import to_write
 from poise.session.recorded_run import RecordedRun
@@ -103,7 +102,7 @@ def record_command(
         typer.Option("--output", "-o", help="The file; else ROBOT-TIME.mcap."),
     ] = None,
     every: Annotated[
-        bool, typer.Option("--all", help="Messages and calls of all connectors.")
+        bool, typer.Option("--all", help="All connectors, also those that begin later.")
     ] = False,
     rate: Annotated[
         float, typer.Option(help="The most messages of each connector in a second.")
@@ -136,9 +135,6 @@ def record_command(
     if not seconds > 0:
         raise UsageError(f"--for {for_}: a recording must last longer than 0 s")
     status = connect(robot).status()
-    names = connectors or []
-    if every:
-        names = sorted({end.name for end in connectors_of(status.computers)})
     clock = time.strftime("%Y%m%d-%H%M%S")
     path = output or Path(f"{status.robot}-{clock}.mcap")
     console = console_to(stderr=as_json)
@@ -147,7 +143,8 @@ def record_command(
         with console.status("") as shown:
             recorded = record(
                 path,
-                names,
+                connectors or (),
+                every=every,
                 robot=status.robot,
                 seconds=seconds,
                 rate=rate,

@@ -35,17 +35,25 @@ from poise.units import SECONDS
 
 TELL_EVERY = 1.0
 """How often it says what is under way [s]."""
+GOES_ON = "what has begun goes on (`poise status`, `poise journal`)"
 _LAST_ANSWER = 15.0
 """What it asked last is answered, or refused, within this time [s]."""
 
 
 @contextmanager
-def telling_progress(running: Running) -> Iterator[list[str]]:
+def telling_progress(running: Running, goes_on: str) -> Iterator[None]:
     """Say what migrations of a robot wait for, until the block ends.
 
-    Yields what was said last.
+    Ctrl-C says so, too, and what `goes_on` without the command, and leaves.
     """
     is_over, said = threading.Event(), list[str]()
+    before = signal.getsignal(signal.SIGINT)
+
+    def leave(number: int, frame: FrameType | None) -> None:
+        why = f": {'; '.join(said)}" if said else ""
+        os.write(2, f"not waiting any more; {goes_on}{why}\n".encode())
+        if callable(before):
+            before(number, frame)
 
     def tell() -> None:
         while not is_over.wait(TELL_EVERY):
@@ -57,9 +65,11 @@ def telling_progress(running: Running) -> Iterator[list[str]]:
 
     telling = threads.daemon(tell, "progress")
     telling.start()
+    signal.signal(signal.SIGINT, leave)
     try:
-        yield said
+        yield
     finally:
+        signal.signal(signal.SIGINT, before)
         is_over.set()
         # zenoh aborts a process that ends while another thread waits in it
         telling.join(_LAST_ANSWER)
@@ -153,7 +163,7 @@ def move_command(
         if seen.breaks and not force:
             raise typer.Exit(2)
         return
-    with telling_progress(running):
+    with telling_progress(running, GOES_ON):
         _act(lambda: running.move(component, computer, force=force), as_json=as_json)
 
 
@@ -202,7 +212,7 @@ def replace_command(
     """
     seconds = parse_option("--watch", watch, SECONDS)
     running = Running(robot)
-    with telling_progress(running):
+    with telling_progress(running, GOES_ON):
         _act(
             lambda: running.replace(what, by, adapt=adapt, fresh=fresh, watch=seconds),
             as_json=as_json,
@@ -230,22 +240,22 @@ def balance_command(
     if not (math.isfinite(cost) and cost >= 0):
         raise UsageError(f"--cost {cost:g}: must be a number, 0 or more")
     running = Running(robot)
-    _act(lambda: running.balance(cost=cost, dry_run=dry), as_json=as_json)
+    with telling_progress(running, "nothing changes" if dry else GOES_ON):
+        _act(lambda: running.balance(cost=cost, dry_run=dry), as_json=as_json)
 
 
 def stop_command(
     robot: Robot = None,
     file: Annotated[
         Path | None,
-        typer.Option(help="Robot file: end what a killed manager left running."),
+        typer.Option(help="Robot file, of a robot that this computer does not know."),
     ] = None,
 ) -> None:
     """Stop a running robot, and wait until it has stopped.
 
     A move under way is rolled back. The exit code is 1 when something still runs. What
-    a killed manager left is ended by its agents. With --file that needs nothing else:
-    all containers on the computers of the robot end. Ctrl-C ends the waiting, and the
-    robot goes on to stop.
+    a killed manager left is ended by its agents. With --file the robot's agents are
+    asked where its manager is. Ctrl-C ends the waiting, and the robot goes on to stop.
 
     Example: poise stop
     """
@@ -259,21 +269,9 @@ def stop_command(
 
 
 def _stop(running: Running) -> None:
-    """Stop a robot, and say what that waits for; Ctrl-C says so, too, and leaves."""
-    with telling_progress(running) as said:
-        before = signal.getsignal(signal.SIGINT)
-
-        def leave(number: int, frame: FrameType | None) -> None:
-            why = f": {'; '.join(said)}" if said else ""
-            os.write(2, f"not waiting any more; the robot is stopping{why}\n".encode())
-            if callable(before):
-                before(number, frame)
-
-        signal.signal(signal.SIGINT, leave)
-        try:
-            running.stop()
-        finally:
-            signal.signal(signal.SIGINT, before)
+    """Stop a robot, and say what that waits for."""
+    with telling_progress(running, "the robot is stopping"):
+        running.stop()
 
 
 def _act(act: Callable[[], Outcome], *, as_json: bool) -> None:

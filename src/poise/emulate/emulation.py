@@ -33,6 +33,7 @@ from poise.emulate.registry import (
 from poise.errors import RunError
 from poise.kernel_counters import CPU_GROUP, PRESSURE_GROUP, stolen_time
 from poise.model.robot import Robot
+from poise.threads import remedy_of
 
 Stream = int | IO[bytes] | None
 
@@ -63,6 +64,7 @@ class EmulatedComputer:
         self.address = layout.address
         self.folder = Path(layout.folder)
         self.limits = layout.limits
+        self.promised = layout.limits.quota  # cores: with less, it was starved
         homes = {which: Path(home) for which, home in layout.homes.items()}
         self._group = Group(layout.mark, homes, len(layout.limits.cpus), Files())
         self._cpu_group = homes.get("cpu") if layout.has_quota else None
@@ -127,7 +129,7 @@ class EmulatedComputer:
 
     def was_starved(self, before: Usage, after: Usage) -> bool:
         """Return whether the host starved it (`is_starved`)."""
-        return is_starved(before, after, self.limits.quota, len(self.limits.cpus))
+        return is_starved(before, after, self.promised, len(self.limits.cpus))
 
     def _environment(self) -> dict[str, str]:
         return {
@@ -199,7 +201,8 @@ class Emulation:
         except BaseException as error:
             self.close()
             if isinstance(error, OSError):
-                message = f"this machine refuses an emulated computer: {error}"
+                why = f"{error}{remedy_of(error)}"
+                message = f"this machine refuses an emulated computer: {why}"
                 raise RunError(message) from error
             raise
 

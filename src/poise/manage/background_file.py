@@ -91,13 +91,6 @@ class BackgroundWriter(Generic[T]):
             )
         return self._what + lacks if (lacks := self._lacks("")) else ""
 
-    def flush(self, limit: float = _CLOSE_LIMIT) -> bool:
-        """Wait up to `limit` [s] until nothing waits; return whether that is so."""
-        with self._changed:
-            return self._changed.wait_for(
-                lambda: not self._waiting or bool(self._error), limit
-            ) and not bool(self._waiting)
-
     def close(self) -> None:
         """Write what waits, within a limit; what then still waits is missing."""
         with self._changed:
@@ -159,7 +152,6 @@ class BackgroundWriter(Generic[T]):
     def _note(self, error: str) -> None:
         with self._changed:
             self._error, self._began = error, None
-            self._changed.notify_all()
 
     def note_written(self, count: int) -> None:
         """Note that the first so many of what waits are written."""
@@ -168,7 +160,6 @@ class BackgroundWriter(Generic[T]):
                 self._size -= self._waiting.popleft()[1]
             if not self._waiting:
                 self._error = ""
-            self._changed.notify_all()
 
 
 class BackgroundFile(BackgroundWriter[bytes]):
@@ -233,7 +224,11 @@ class BackgroundFile(BackgroundWriter[bytes]):
             os.close(self._fd)
             self._fd = -1
         flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC
-        self._fd = os.open(self.path, flags, 0o600)
+        try:
+            self._fd = os.open(self.path, flags, 0o600)
+        except FileNotFoundError:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self._fd = os.open(self.path, flags, 0o600)
         return self._fd
 
     def _rotate(self) -> None:

@@ -210,6 +210,7 @@ class Manager:
             ),
             faults=self._watch.num_faults + len(lost_states),
             lost_states=lost_states,
+            hanging=self._adaptation.hanging,
             prefetch=self._prefetch.report(),
         )
 

@@ -113,11 +113,32 @@ class FileKey(Struct, frozen=True):
     is_entry: bool = False
 
 
-@cache
+_FOUND: dict[type, Mapping[str, FileKey]] = {}
+
+
 def keys_of(record: type[Struct]) -> Mapping[str, FileKey]:
     """Return the keys of a record in the file, by name."""
+    return keys_in(record_of(record))
+
+
+@cache
+def record_of(record: type[Struct]) -> types.StructType:
+    """Return what is known of a record, and of all records in it: that takes long."""
+    kind = types.type_info(record)
+    assert isinstance(kind, types.StructType)  # noqa: S101, as any record is
+    return kind
+
+
+def keys_in(kind: types.StructType) -> Mapping[str, FileKey]:
+    """Return the keys of a record of which it is known what it is."""
+    if kind.cls not in _FOUND:
+        _FOUND[kind.cls] = _keys(kind)
+    return _FOUND[kind.cls]
+
+
+def _keys(kind: types.StructType) -> Mapping[str, FileKey]:
     keys: dict[str, FileKey] = {}
-    for field in types.type_info(record).fields:  # type: ignore[attr-defined]
+    for field in kind.fields:
         if not isinstance(field.type, types.Metadata):
             continue
         notes = field.type.extra or {}

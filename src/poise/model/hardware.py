@@ -96,6 +96,14 @@ class Computer(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         speed = self.speed if resource == "cpu" else 1.0
         return self.capacity.get(resource, 0.0) * speed
 
+    @property
+    def own_cores(self) -> float:
+        """Its CPU in cores of the machine that it is, or that emulates it.
+
+        A real core that is half as fast is a core; an emulated one is half a core.
+        """
+        return self.capacity.get("cpu", 0.0) if self.address else self.total("cpu")
+
     def usable(self, resource: str) -> float:
         """Return the usable amount of `resource`: capacity x speed - reserve."""
         return self.total(resource) * (1 - self.reserve.get(resource, 0.0))

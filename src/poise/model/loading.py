@@ -32,6 +32,7 @@ from poise.model.check.task_checks import (
     check_tasks,
     check_workload,
 )
+from poise.model.file_keys import record_of
 from poise.model.includes import (
     Given,
     Include,
@@ -86,7 +87,7 @@ def load_source(
         raise RobotError(problems=[too_old])
     # Names of a file that could not be included would seem unknown.
     is_whole = not problems
-    values = validate(root, msgspec.inspect.type_info(Robot), problems)
+    values = validate(root, record_of(Robot), problems)
     if values is None or not is_whole:
         raise RobotError(problems=sorted(problems))
     values["folder"] = folder = str(path.resolve().parent)

@@ -9,7 +9,7 @@ from typing import Any
 
 from msgspec import inspect as types
 
-from poise.model.file_keys import FileKey, form_of, keys_of
+from poise.model.file_keys import FileKey, form_of, keys_in
 from poise.model.robot import Robot
 from poise.units import NUMBER
 
@@ -118,7 +118,7 @@ def _record(kind: types.StructType, records: dict[str, Schema]) -> Schema:
     name = kind.cls.__name__.removesuffix("Keys")
     if name not in records:
         records[name] = {}  # keeps its place before the records in it
-        keys = keys_of(kind.cls)
+        keys = keys_in(kind)
         records[name].update(
             title=name,
             description=(kind.cls.__doc__ or "").partition("\n")[0],

@@ -150,9 +150,11 @@ class ComponentCode(Struct, frozen=True, kw_only=True):
 
     timers: tuple[CodeTimer, ...] = ()
     keep: Mapping[str, int] = {}  # subscribed port -> how many messages wait at most
-    # timer, subscribed or provided port -> the ports that its code may publish or call
-    # on
+    # timer, subscribed or provided port, or "answer" for what takes those of started
+    # calls -> the ports that its code may publish or call on
     sends: Mapping[str, tuple[str, ...]] = {}
+    # the same -> port of which it only starts calls -> whether it waits for the answers
+    starts: Mapping[str, Mapping[str, bool]] = {}
     ports: Mapping[str, PortKind] = {}
 
 

@@ -14,7 +14,7 @@ from msgspec import Struct
 from msgspec import inspect as types
 
 from poise.errors import FileProblem, did_you_mean, listed
-from poise.model.file_keys import FileKey, form_of, keys_of
+from poise.model.file_keys import FileKey, form_of, keys_in
 from poise.model.yaml_tree import Location, Node, Scalar
 from poise.units import SECONDS, parse, quoted
 
@@ -128,7 +128,7 @@ def _noted(node: Node, kind: types.Metadata, where: Where) -> Value:
 
 
 def _struct(node: Node, kind: types.StructType, where: Where) -> Value:
-    keys = keys_of(kind.cls)
+    keys = keys_in(kind)
     if not isinstance(node.value, dict):
         return where.wrong(f"must be a mapping with {listed(keys)}, not {_kind(node)}")
     for name in [name for name in node.value if name not in keys]:

@@ -21,6 +21,7 @@ from poise.model.yaml_validation import validate
 from poise.session.arguments import check_type
 from poise.simulation.choices import Choices
 from poise.simulation.faults import (
+    ANYWHERE,
     KINDS,
     LINK_KINDS,
     SimulatedFault,
@@ -73,8 +74,6 @@ _TIMELESS: tuple[SimulatedFaultKind, ...] = (
 """These are over at once: `for` says nothing about them."""
 _AT_ONCE = 1.0
 """What such a fault has instead [s]."""
-_ANYWHERE: tuple[SimulatedFaultKind, ...] = ("lose datagrams",)
-"""These are about no computer of their own."""
 _KEYS: Mapping[str, KeyPath] = {"target": ("computer",), "lasts": ("for",)}
 
 
@@ -161,7 +160,7 @@ def _shape(keys: FaultKeys) -> Iterator[tuple[KeyPath, str]]:
     wanted = "between" if kind in LINK_KINDS else "computer"
     given = {"computer": keys.computer, "between": keys.between}
     for key, example in (("between", "[main, vision]"), ("computer", "main")):
-        is_wanted = key == wanted and kind not in _ANYWHERE
+        is_wanted = key == wanted and kind not in ANYWHERE
         if is_wanted and given[key] is None:
             yield (), f"'{kind}' lacks the key '{key}': write `{key}: {example}`"
         if not is_wanted and given[key] is not None:

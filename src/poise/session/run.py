@@ -79,7 +79,7 @@ def run(  # noqa: PLR0913 - each is a choice of the user
         folder, where `poise journal` finds it.
     record
         A file for what is used and what is published between architectures; None: it
-        is not kept.
+        is not kept. One that is there already is kept beside it, as ``NAME-before``.
     adapt
         Whether Poise changes the placement by itself, as `up` does.
     say
@@ -102,6 +102,8 @@ def run(  # noqa: PLR0913 - each is a choice of the user
     """
     chosen, decided = task_of(robot, task), list[str]()
     check_duration("a run", seconds)
+    if not callable(meanwhile):
+        raise UsageError(f"meanwhile: {meanwhile!r} is no function")
     check_path("journal", journal or "")
     check_path("record", record or "")
     robot = as_deployed(robot)

@@ -89,7 +89,7 @@ def cpu_shares(
         if last.uptime <= first.uptime:
             continue
         cores = (last.cpu - first.cpu) / (last.uptime - first.uptime)
-        has = computer.capacity["cpu"] * computer.speed * faster.get(computer.name, 1)
+        has = computer.own_cores * faster.get(computer.name, 1)
         shares[computer.name] = cores / has
     return shares
 

@@ -24,7 +24,6 @@ from poise.manage.control_socket.control_server import ControlServer
 from poise.manage.deploy.takeover import start_or_take_over
 from poise.manage.journal import Journal, check_journal
 from poise.manage.manager import TICK, Manager
-from poise.manage.observe.sample_recording import RecordingFile
 from poise.manage.tasks.concurrent_tasks import Tasks
 from poise.model.robot import Robot
 from poise.runtime.container.component_import import folder_of_version
@@ -45,6 +44,7 @@ from poise.session.launch.managed import (
 from poise.session.launch.start import Started
 from poise.session.placing.first_phase import first_phase
 from poise.session.placing.placement import Placement
+from poise.session.record_run import new_recording
 from poise.session.robot_file import task_of
 from poise.session.running_robots.running import Running
 from poise.wire.address import KEYS
@@ -207,7 +207,7 @@ def up(  # noqa: PLR0913 - each is a choice of the user
         if metrics is not None and not take_over:  # before anything is started
             exporter = stack.enter_context(_exporter(metrics))
         check_journal(Path(journal) if journal else None)
-        recorder = _recorder(Path(record), robot.name) if record else None
+        recorder = new_recording(Path(record), robot.name) if record else None
         book = stack.enter_context(
             journal_of(robot, first, journal, lambda entry: say(str(entry)), decided)
         )
@@ -241,16 +241,6 @@ def up(  # noqa: PLR0913 - each is a choice of the user
         if exporter is not None:
             exporter.show(manager.status)
         yield running
-
-
-def _recorder(path: Path, robot: str) -> RecordingFile:
-    """Return what records; the recording before may be of what broke."""
-    try:
-        if path.is_file():
-            path.replace(path.with_stem(f"{path.stem}-before"))
-    except OSError as error:
-        raise UsageError(f"{path} cannot be renamed: {error.strerror}") from error
-    return RecordingFile(path, robot)
 
 
 def _tasks_of(robot: Robot, task: str | Sequence[str] | None) -> Sequence[str]:

@@ -80,6 +80,10 @@ def open_session(
         cause = re.search(r"[^:\[]+\(os error \d+\)", str(error))
         why = cause.group().strip() if cause else str(error)
         raise RunError(f"cannot listen on {', '.join(listen)}: {why}") from None
+    except BaseException as error:  # a panic of Rust is no Exception
+        if "can't spawn" not in str(error):
+            raise
+        raise RunError(threads.NO_THREAD) from None
     try:
         session.info.declare_link_events_listener(_close_without_waiting, history=True)
     except BaseException:

@@ -26,8 +26,9 @@ from poise.clock import Clock
 from poise.decoding import msgpack_decoder
 from poise.endpoint import Endpoint
 from poise.priority import go_first
+from poise.wire.address import family_of
 from poise.wire.codec import MALFORMED
-from poise.wire.host_names import HostNames
+from poise.wire.host_names import MAPPED, HostNames
 from poise.wire.records.heartbeat_records import MANAGER, Echo, Heartbeat, LinkQuality
 
 if TYPE_CHECKING:
@@ -271,8 +272,8 @@ class Datagrams(Protocol):
 class UdpDatagrams:
     """A UDP socket.
 
-    `listen`: where; None: anywhere; `keys`: what signs, for only what they signed is
-    taken.
+    `listen`: where; None: anywhere, and what it sends goes to IPv4 and to IPv6; `keys`:
+    what signs, for only what they signed is taken.
     """
 
     def __init__(
@@ -280,16 +281,17 @@ class UdpDatagrams:
         clock: Clock,
         listen: Endpoint | None = None,
         *,
-        is_ipv6: bool = False,
         keys: Credentials | None = None,
     ) -> None:
         self._clock = clock
         self._keys = keys
         if keys is not None:
             _ = keys.signing  # here, and on no thread, damaged ones are told
-        family = socket.AF_INET6 if is_ipv6 else socket.AF_INET
+        family = _family_of_both() if listen is None else family_of(listen.host)
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._names = HostNames(family)
+        if listen is None and family is socket.AF_INET6:
+            self._socket.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 0)
         if listen is not None:
             try:
                 self._socket.bind((listen.host, listen.port))
@@ -325,13 +327,14 @@ class UdpDatagrams:
     def send(self, beat: Heartbeat, targets: Iterable[Address]) -> None:
         """Send a heartbeat to all targets; the silence says which link is cut.
 
-        Those whose names have not been looked up yet get the next one.
+        Those whose names have not been looked up yet get the next one. A name may have
+        several addresses; at which of them its agent listens is not known.
         """
         data = msgspec.msgpack.encode(beat)
         if self._keys is not None:
             data = self._keys.sign(data)
         for host, port in targets:
-            if address := self._names.find(host):
+            for address in self._names.find(host):
                 with contextlib.suppress(OSError):
                     self._socket.sendto(data, (address, port))
 
@@ -352,8 +355,14 @@ class UdpDatagrams:
         now = self._clock.now()
         if now >= self._warn_at:
             self._warn_at = now + _WARN_EVERY
-            log.warning("a heartbeat from %s %s: ignored", source, what)
+            sender = source.removeprefix(MAPPED)
+            log.warning("a heartbeat from %s %s: ignored", sender, what)
         return None
+
+
+def _family_of_both() -> socket.AddressFamily:
+    """Return whose sockets reach IPv4, and IPv6 where the kernel has it."""
+    return socket.AF_INET6 if socket.has_dualstack_ipv6() else socket.AF_INET
 
 
 class Heartbeats:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import socket
 import threading
+from collections.abc import Sequence
 
 from poise import threads
 from poise.endpoint import Endpoint
@@ -13,6 +14,8 @@ _AGAIN, _SOON = 5.0, 1.0
 """Names are looked up again after this time, for their addresses may change, and those
 that are not known yet after this one [s]."""
 _JOIN_LIMIT = 0.1
+MAPPED = "::ffff:"
+"""Stands before an IPv4 address that a socket of IPv6 sends to."""
 
 
 class HostNames:
@@ -20,18 +23,18 @@ class HostNames:
 
     def __init__(self, family: socket.AddressFamily) -> None:
         self._family = family
-        self._known: dict[str, str] = {}
+        self._known: dict[str, tuple[str, ...]] = {}
         self._names: list[str] = []
         self._thread: threading.Thread | None = None
         self._has_news = threading.Event()
         self._is_closed = False
 
-    def find(self, host: str) -> str | None:
-        """Return a host's IP address at once; None: it is not known yet."""
-        known = self._known.get(host)
-        if known is None and Endpoint(host, 0).is_ip:
-            known = self._known[host] = host
-        elif known is None and host not in self._names:
+    def find(self, host: str) -> Sequence[str]:
+        """Return a host's IP addresses at once; none while they are not known yet."""
+        known = self._known.get(host, ())
+        if not known and Endpoint(host, 0).is_ip:
+            known = self._known[host] = (self._own(host),)
+        elif not known and host not in self._names:
             if self._thread is None:
                 thread = threads.daemon(self._main, "host names", again=True)
                 thread.start()
@@ -60,7 +63,14 @@ class HostNames:
             self._has_news.clear()
 
     def _look_up(self, host: str) -> None:
-        found = socket.getaddrinfo(host, None, self._family, socket.SOCK_DGRAM)
-        addresses = [str(address[0]) for *_, address in found]
-        if self._known.get(host) not in addresses:
-            self._known[host] = addresses[0]
+        mapped = socket.AI_V4MAPPED | socket.AI_ALL
+        flags = mapped if self._family == socket.AF_INET6 else 0
+        found = socket.getaddrinfo(
+            host, None, self._family, socket.SOCK_DGRAM, flags=flags
+        )
+        self._known[host] = tuple(dict.fromkeys(str(to[0]) for *_, to in found))
+
+    def _own(self, address: str) -> str:
+        """Return an IP address as a socket of this family takes it."""
+        is_mapped = self._family == socket.AF_INET6 and ":" not in address
+        return f"{MAPPED}{address}" if is_mapped else address

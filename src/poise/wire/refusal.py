@@ -14,6 +14,12 @@ from poise.wire.credentials import Credentials
 _MOST_AT_ONCE = 8
 _LIMIT = 2.0
 """An agent that would say something has said it after this time [s]."""
+_SMALL = 500
+"""Segments of this size get through where an IPv4 packet of 576 bytes does."""
+_NO_TLS = (
+    "it does not answer in TLS: it hangs, runs with --insecure, or something else is "
+    "there"
+)
 _ALERT = 0x15
 """How a TLS record begins that refuses."""
 _STRANGE = b"\x01\x00\x00"
@@ -26,6 +32,15 @@ def why_refused(agent: Endpoint, keys: Credentials | None) -> str:
         return _of_listener(agent, keys)
     except OSError as error:
         return f"{agent}: {error}"
+
+
+def why_all_refused(
+    agents: Mapping[str, Endpoint], keys: Credentials | None
+) -> Mapping[str, str]:
+    """Return the same of agents, all asked at once: each may take seconds."""
+    with ThreadPoolExecutor(_MOST_AT_ONCE) as pool:
+        reasons = pool.map(lambda agent: why_refused(agent, keys), agents.values())
+        return dict(zip(agents, reasons, strict=True))
 
 
 def refusals(
@@ -46,7 +61,23 @@ def refusals(
 
 def _of_listener(agent: Endpoint, keys: Credentials | None) -> str:
     with socket.create_connection((agent.host, agent.port), _LIMIT) as plain:
-        return _of_plain(plain) if keys is None else _of_keys(plain, keys)
+        if keys is None:
+            return _of_plain(plain)
+        family, remote = plain.family, plain.getpeername()
+        with contextlib.suppress(TimeoutError):
+            return _of_keys(plain, keys)
+    with socket.socket(family) as plain:
+        plain.settimeout(_LIMIT)
+        plain.setsockopt(socket.IPPROTO_TCP, socket.TCP_MAXSEG, _SMALL)
+        plain.connect(remote)
+        try:
+            _of_keys(plain, keys)
+        except TimeoutError:
+            return _NO_TLS
+    return (
+        "small packets reach it, and larger ones do not: set the MTU of this computer "
+        "or of its own to the smallest on the way, and let ICMP through"
+    )
 
 
 def _of_plain(plain: socket.socket) -> str:
@@ -76,11 +107,10 @@ def _of_keys(plain: socket.socket, keys: Credentials) -> str:
             f"its certificate is not of this robot or has ended ({error.verify_message}"
             "): `poise keys issue` makes another"
         )
+    except TimeoutError:
+        raise
     except OSError:
-        return (
-            "it does not answer in TLS: it hangs, runs with --insecure, or something "
-            "else is there"
-        )
+        return _NO_TLS
     try:
         with secured:
             secured.recv(1)  # it says so only now that it does not trust ours

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import pytest
 from msgspec.structs import replace
 
-from poise.estimate.online import Estimate
+from poise.estimate.online import Drift, Estimate
 from poise.manage.adaptation.decision import decide
 from poise.manage.adaptation.policy_values import values_of
 from poise.manage.adaptation.situation import Situation
@@ -158,6 +158,25 @@ def test_what_is_lost_with_its_computer_is_named_where_nothing_helps(
     assert found.why.endswith(
         "Lost with their computers: 'eye' of 'c2'; components that need them wait"
     )
+
+
+def test_what_needs_more_than_any_computer_has_is_not_said_to_have_it(
+    situation: Make,
+) -> None:
+    need = DemandEstimate(
+        component="a",
+        computer="left",
+        expected=0.2,
+        estimate=Estimate(
+            mean=0.9, p95=0.9, error=0.01, starved=0.6, drift=Drift(1.0, 0.2, 0.9)
+        ),
+    )
+    seen = situation({"a": "left", "b": "right"}, missed=("a",))
+    found = decide(replace(seen, demand_estimates=(need,)))
+    assert not found.acts
+    assert "'a' needs 90.0% ± 1.0% of a core now" in found.why
+    assert "all that any computer can give it" in found.why
+    assert "have the CPU" not in found.why
 
 
 def test_when_nothing_fits_it_says_what_is_missing(situation: Make) -> None:

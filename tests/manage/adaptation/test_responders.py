@@ -92,6 +92,22 @@ def test_the_first_that_wants_a_change_is_the_last_that_is_asked() -> None:
     assert rig.robbed.journal.entries()[-1].what == "so"
 
 
+def test_what_comes_and_goes_is_said_once() -> None:
+    """At its limit, "overloaded" and "no more" took turns every second."""
+    rig = Rig()
+    robbed, seen = rig.robbed, list[Situation]()
+    rig.loop._read = lambda: seen[-1]
+    for second in range(40):
+        is_late = second % 4 < 2 and second < 20
+        seen.append(robbed.situation(0.0, *(["a"] if is_late else [])))
+        rig.loop.adapt()
+        rig.clock.sleep(1.0)
+    said = [e.what for e in robbed.journal.entries() if e.kind in {"wrong", "right"}]
+    (wrong, right) = [what for what in said if "timer" in what]
+    assert right == f"no more: {wrong}"
+    assert rig.loop.deviations == ()
+
+
 def test_a_change_that_fails_backs_off_and_lets_the_next_act() -> None:
     def fail() -> None:
         raise KeyError("odd")

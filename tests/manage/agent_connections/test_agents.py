@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Iterable, Mapping
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,6 +13,8 @@ import pytest
 import zenoh
 
 from poise.clock import SystemClock
+from poise.errors import RunError
+from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.reports import MOST_REFUSED, AgentReports, reading
 from poise.wire.records.status_records import AgentStatus
 from tests.waiting import LONG
@@ -68,6 +71,22 @@ def test_keeps_a_bounded_number_of_reasons(reports: AgentReports) -> None:
     assert len(reports.pop_refused()) == MOST_REFUSED
 
 
+@pytest.mark.parametrize(
+    ("silent", "said"),
+    [
+        ("", "voted, and does not confirm that"),
+        ("bc", "does not answer heartbeats (UDP): b, c (does a firewall let them"),
+    ],
+)
+def test_says_when_heartbeats_keep_a_manager_from_leading(
+    silent: str, said: str
+) -> None:
+    """A firewall without UDP was no reason that anyone could see."""
+    agents: Any = Agents.__new__(Agents)
+    agents.heartbeats = SimpleNamespace(answers=lambda name: name not in silent)
+    assert said in agents._why_unconfirmed(["c", "a", "b"])
+
+
 def test_a_computer_is_lost_since_it_was_silent(reports: AgentReports) -> None:
     reports.on_alive(token("PUT"))
     reports.on_silent(["left"])
@@ -96,3 +115,14 @@ def test_a_process_ends_that_cannot_hear_agents() -> None:
     )
     assert done.returncode == 1
     assert "can't start new thread" in done.stderr
+
+
+def test_says_why_agents_are_silent() -> None:
+    ends = {name: f"tcp/{name}.local:1" for name in ("left", "right")}
+    reports = AgentReports("robot", ends, SystemClock())
+
+    def why_silent(names: Iterable[str]) -> Mapping[str, str]:
+        return dict.fromkeys(names, "no name server")
+
+    with pytest.raises(RunError, match="left: no name server\nright: no name server"):
+        reports.wait_alive(ends, 0.0, why_silent=why_silent)

@@ -902,6 +902,16 @@ def test_a_command_line_component_goes_on_when_it_cannot_start_elsewhere(
     world.works()
 
 
+def test_of_two_equal_moves_the_second_says_where_it_is(world: MovingRobot) -> None:
+    run = world.start("Counter")
+    first, second = (plan_move(run, "counter", "right") for _ in range(2))
+    assert first.run().committed
+    report = second.run()
+    assert not report.committed
+    assert report.reason == "component 'counter' was changed meanwhile"
+    assert report.before == {"counter": "right"}
+
+
 def test_refuses_what_cannot_be_moved(world: MovingRobot) -> None:
     run = world.start("Counter")
     with pytest.raises(UsageError, match="component 'nobody' is not running"):

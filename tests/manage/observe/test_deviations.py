@@ -170,3 +170,45 @@ def test_an_error_of_an_agents_own_code_is_shown_with_its_part(robot: Robot) -> 
         "agent of 'a': an internal error in part \"container 'see'\": KeyError: "
         "'a bug' (traceback in its log); the rest goes on"
     )
+
+
+@pytest.mark.parametrize(
+    ("cores", "memory", "said"),
+    [
+        (0.0, 0, []),  # not known
+        (1.0, 10**9, []),
+        (1.0, 950_000_000, []),  # the firmware keeps some
+        (
+            0.5,
+            512 << 20,
+            [
+                (
+                    "computer 'a' has 0.5 cores, not the 1 core of the robot file: "
+                    "correct its `cpu` there, or too much is placed on it"
+                ),
+                (
+                    "computer 'a' has 512 MiB, not the 954 MiB of the robot file: "
+                    "correct its `memory` there, or too much is placed on it"
+                ),
+            ],
+        ),
+    ],
+)
+def test_a_computer_with_less_than_the_robot_file_says_is_named(
+    robot: Robot, *, cores: float, memory: int, said: list[str]
+) -> None:
+    status = AgentStatus(
+        computer="a",
+        generation=1,
+        uptime=9.0,
+        cpu=0.0,
+        cores=cores,
+        computer_memory=memory,
+    )
+    (computer,) = robot.computers
+    real = replace(robot, computers=(replace(computer, address="10.0.0.1"),))
+    layout = DeploymentLayout(real, "")
+    found = find_deviations([], [], layout, {"a": status}, 5.0)
+    assert [each.what for each in found] == said
+    emulated = find_deviations([], [], DeploymentLayout(robot, ""), {"a": status}, 5.0)
+    assert list(emulated) == []

@@ -24,6 +24,7 @@ from poise.wire.recording_file import samples_of
 from poise.wire.records.status_records import (
     AgentSample,
     AgentStatus,
+    ComponentSample,
     ComponentStatus,
     ConnectorStatus,
     ContainerStatus,
@@ -54,6 +55,61 @@ def test_stands_against_the_profile(robot: Robot, steady: Sampler) -> None:
     assert eye.estimate.mean == pytest.approx(0.05)
     assert mind.expected is None
     assert mind.estimate.mean == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(
+    ("busy", "container", "starved"),
+    [
+        (0.3, 0.02, 0.0),
+        (0.46, 0.02, 0.9),  # of half a core: that is what an emulated one has
+        (0.3, 0.95, 0.9),  # the interpreter
+        (None, 0.02, 0.9),  # nobody counts what the computer uses
+    ],
+)
+def test_who_waits_for_a_device_is_not_starved(
+    robot: Robot,
+    steady: Sampler,
+    busy: float | None,
+    container: float,
+    starved: float,
+) -> None:
+    """Of 100 messages a second it takes 10, for 1 ms each; the others make room."""
+    estimates = Estimates(robot, None, emulated=True)
+    for k in range(50):
+        at = 0.2 * k
+        sample = steady(at)
+        eye = ComponentSample("eye", 0, 0.01 * at, 0.0, round(100 * at), round(10 * at))
+        inside = msgspec.structs.replace(
+            sample.containers[0], components=(eye,), cpu=container * at
+        )
+        estimates.add(
+            msgspec.structs.replace(
+                sample,
+                containers=(inside,),
+                busy=None if busy is None else busy * at,
+            )
+        )
+    (found,) = estimates.demand_estimates()
+    assert found.estimate.starved == pytest.approx(starved, abs=0.01)
+    needs = 0.1 if starved else 0.01
+    assert found.estimate.mean == pytest.approx(needs, rel=0.05)
+
+
+def test_a_command_on_a_slow_computer_may_be_starved(
+    robot: Robot, steady: Sampler
+) -> None:
+    """It runs half of the time, and waits for the CPU in the other half."""
+    estimates = Estimates(robot, None, emulated=False)
+    for k in range(20):
+        at = 0.2 * k
+        sample = steady(at)
+        eye = ComponentSample("eye", 0, 0.5 * at, 0.5 * at, 0, 0)
+        container = msgspec.structs.replace(sample.containers[0], components=(eye,))
+        estimates.add(msgspec.structs.replace(sample, containers=(container,)))
+    (found,) = estimates.demand_estimates()
+    assert found.estimate.mean == pytest.approx(0.25)
+    assert found.estimate.is_least
+    assert found.estimate.starved == 1.0
 
 
 def test_time_of_an_emulated_computer_is_the_references(

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from poise.manage.journal import Journal
 from poise.manage.observe.troubles import ManagerTroubles
+from tests.waiting import wait_until
 
 
 class Clocks:
@@ -76,12 +77,12 @@ def test_a_file_that_cannot_be_written_is_a_deviation_meanwhile() -> None:
 
 
 def test_a_journal_that_cannot_be_written_is_a_deviation(tmp_path: Path) -> None:
-    journal = Journal(tmp_path / "nowhere" / "journal.jsonl")
-    assert journal.file is not None
-    assert not journal.file.flush()
+    (tmp_path / "file").touch()
+    journal = Journal(tmp_path / "file" / "journal.jsonl")
+    wait_until(lambda: journal.trouble)
     troubles = ManagerTroubles(journal)
     troubles.check()
     (found,) = troubles.deviations()
-    assert found.what.endswith("cannot be written: No such file or directory")
+    assert found.what.endswith("cannot be written: Not a directory")
     assert [e.what for e in journal.entries()] == [found.what]
     journal.close()

@@ -101,7 +101,16 @@ def test_half_a_record_at_the_end_is_left_out_and_said(
     os.truncate(path, one + cut)
     with caplog.at_level(logging.WARNING):
         assert list(samples_of(path)) == [sample(0)]
-    assert "was not closed" in caplog.text
+    assert "was not closed: its end is missing" in caplog.text
+
+
+def test_a_recording_that_is_not_there_is_named_once(tmp_path: Path) -> None:
+    with pytest.raises(UsageError) as said:
+        list(samples_of(tmp_path / "none.mcap"))
+    path = tmp_path / "none.mcap"
+    assert str(said.value) == (
+        f"recording {path} cannot be read: No such file or directory"
+    )
 
 
 def test_a_full_disk_costs_records_and_not_the_robot(

@@ -21,6 +21,7 @@ from poise.manage.agent_connections.agents import Agents
 from poise.manage.deploy.desired import Desired
 from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.journal import Journal
+from poise.manage.migration.move import plan_move
 from poise.manage.observe.estimates import Load
 from poise.manage.tasks import task_manager
 from poise.manage.tasks.concurrent_tasks import Tasks
@@ -98,6 +99,7 @@ class Speaking(FakeAgents):
         self.requests: dict[str, tuple[TaskRequest, ...]] = {}
         self.crashing = ""
         self.crashes = 0
+        self.lag = 0  # how many deployments their last reports are behind
 
     def say(self, component: str, *, done: bool = True) -> None:
         before = self.ends.get(component)
@@ -105,12 +107,14 @@ class Speaking(FakeAgents):
         self.ends[component] = ActionEnd(port="done", count=count, done=done)
 
     def wait_news(self, is_enough: Callable[[], bool], limit: float) -> bool:
+        self.lag = 0
         return any(super(Speaking, self).wait_news(is_enough, limit) for _ in range(5))
 
     def statuses(self) -> dict[str, AgentStatus]:
         return {name: self._said(each) for name, each in super().statuses().items()}
 
     def _said(self, status: AgentStatus) -> AgentStatus:
+        status = replace(status, generation=status.generation - self.lag)
         for container in status.containers:
             if self.crashing in [each.name for each in container.components]:
                 self.crashes += 1
@@ -240,6 +244,18 @@ def test_a_component_learns_of_all_actions_that_begin_at_once() -> None:
     assert [*rig.run.placed["seeer"].actions.values()] == ["a", "b"]
 
 
+def test_one_that_moves_goes_on_with_its_action() -> None:
+    robot = robot_with(task("t", act("a", "see")))
+    (see, *others) = robot.architectures
+    (component,) = see.components
+    see = replace(see, components=(replace(component, only=()),))
+    rig = Rig(replace(robot, architectures=(see, *others)), "t")
+    rig.manager.advance()
+    plan_move(rig.run, "seeer", "spare").configure_ahead()
+    (target,) = rig.run.desired.configured_ahead
+    assert target.actions == rig.run.placed["seeer"].actions != {}
+
+
 def test_one_that_was_restarted_by_others_learns_its_action_again() -> None:
     rig = Rig(robot_with(task("t", act("a", "see"))), "t")
     placed = rig.run.placed["seeer"]
@@ -331,6 +347,40 @@ def test_an_action_that_does_not_fit_alone_fails_and_says_why() -> None:
     rig = Rig(robot_with(task("t", other), cpu=0.5), "t")
     assert rig.active() == {"sayer"}
     assert any("has failed: it does not fit: " in each for each in rig.said())
+
+
+def test_an_action_that_does_not_fit_is_not_begun_again_at_once() -> None:
+    """All its retries were used up within a moment in which nothing changed."""
+    other = act("a", "see", "go", on_failure=Retry(times=3, then=act("b", "say")))
+    rig = Rig(robot_with(task("t", other), cpu=0.5), "t")
+    assert rig.active() == {"sayer"}
+    assert sum("it does not fit: " in each for each in rig.said()) == 1
+
+
+def test_an_action_that_begins_again_takes_the_alternative_of_what_was_lost(
+    tmp_path: Path,
+) -> None:
+    """It said that it begins, and nothing provided its function."""
+    look = Action(name="a", functions=("see",), on_failure=Retry(times=2))
+    robot = robot_with(task("t", look))
+    see, *others = robot.architectures
+    (seer,) = see.components
+    other = replace(
+        see, name="other", quality=0.5, components=(replace(seer, name="other"),)
+    )
+    seer = replace(seer, only=("spare",), demand={"cpu": 0.05})
+    see = replace(see, components=(seer,))
+    robot = replace(robot, architectures=(see, other, *others), folder=str(tmp_path))
+    rig = Rig(robot, "t")
+    assert rig.active() == {"seeer"}
+    rig.agents.gone.add("spare")
+    rig.run.goes_on_without_lost = True
+    rig.manager.advance()
+    assert rig.active() == {"seeer"}  # it may be at work there
+    (each,) = rig.manager.tasks.tries(rig.manager.tasks.find("t"))
+    rig.manager.tasks.end(each.number, 0.0, "it saw nothing", done=False)
+    rig.manager.advance()
+    assert rig.active() == {"other"}
 
 
 def test_an_action_whose_component_does_not_start_fails_and_says_why() -> None:
@@ -428,6 +478,20 @@ def test_the_next_manager_hears_no_request_again() -> None:
     assert [(r.name, r.state) for r in saved.records] == [("t", "going"), ("u", "done")]
 
 
+def test_what_a_component_said_before_a_move_counts_once() -> None:
+    actions = act("a", "see"), act("b", "see"), act("c", "go")
+    rig = Rig(robot_with(task("t", *actions), task("u", act("d", "say"))), "t")
+    rig.agents.say("seeer")
+    rig.agents.requests["seeer"] = (TaskRequest(number=1, verb="start", task="u"),)
+    for _ in range(2):
+        moved = replace(rig.run.placed["seeer"], epoch=rig.run.next_epoch("seeer"))
+        rig.run.commit(rig.run.desired.placing([moved]), "it moved")
+        rig.manager.advance()
+    assert rig.active() == {"seeer", "sayer"}
+    assert [each.actions[0].name for each in rig.manager.reports] == ["b", "d"]
+    assert sum("asks to start task 'u'" in each for each in rig.said()) == 1
+
+
 def test_what_a_component_says_after_a_restart_is_heard() -> None:
     actions = act("a", "see"), act("b", "see"), act("c", "go")
     rig = Rig(robot_with(task("t", *actions), task("u", act("d", "say"))), "t")
@@ -448,6 +512,15 @@ def test_an_end_that_is_said_while_its_task_is_being_paused_counts() -> None:
         rig.manager.command(verb, "t")
         rig.manager.advance()
     assert rig.active() == {"goer"}
+
+
+def test_what_ended_an_action_ends_no_later_one_when_agents_report_late() -> None:
+    rig = Rig(robot_with(task("t", act("a", "see"))), "t")
+    rig.end("seeer")
+    rig.agents.lag = 1
+    rig.manager.command("start", "t")
+    rig.manager.advance()
+    assert rig.states()["t"] == ("going", "")
 
 
 def test_what_another_action_was_told_to_end_says_nothing_of_a_paused_one() -> None:

@@ -80,7 +80,7 @@ class Field:
         self.source.mkdir()
         self.authority = init_keys(self.name, folder / "owner")
         computers = "\n".join(
-            f'  {n}: {{cpu: 1, memory: 1 GiB, address: "{c.address}"}}'
+            f'  {n}: {{cpu: 0.5, memory: 512 MB, address: "{c.address}"}}'
             for n, c in self.computers.items()
         )
         self.file = self.source / "robot.yaml"

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 from pathlib import Path
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import pytest
 
@@ -68,7 +70,29 @@ def test_says_what_its_computers_are_without(
     }.items():
         monkeypatch.setattr(detached, name, fake)
     up_detached(ROBOT, Path("robot.yaml"), ["up"], said.append, lambda: None)
-    assert said[-1].strip() == "without CPU limits"
+    assert said[0].strip() == "without CPU limits"
+    assert "stay up until" in said[1]
+
+
+def test_interrupted_does_not_say_that_computers_stay_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said: list[str] = []
+    ended: list[int] = []
+    waits = iter([None])
+    keeper = SimpleNamespace(poll=lambda: None, send_signal=ended.append, wait=Mock())
+    for name, fake in {
+        "set_for": lambda _: None,
+        "log_of": lambda name: _touched(tmp_path / name),
+        "_started": lambda *_: keeper,
+        "_wait": lambda *_: next(waits),
+        "is_alive": lambda _: False,
+    }.items():
+        monkeypatch.setattr(detached, name, fake)
+    with pytest.raises(StopIteration):  # as Ctrl-C does, while the robot comes up
+        up_detached(ROBOT, Path("robot.yaml"), ["up"], said.append, lambda: None)
+    assert ended == [signal.SIGTERM] * 2
+    assert not said
 
 
 def test_a_log_that_cannot_be_written_is_named_with_what_to_do(

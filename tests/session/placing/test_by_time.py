@@ -19,6 +19,8 @@ from poise.session import nothing
 from poise.session.placing import by_time
 from poise.session.placing.first_phase import first_phase
 from poise.session.placing.placement import Placement, place
+from poise.session.render.plan_tables import plan_parts
+from poise.simulation.workload import LEFT_OUT
 from tests.command import run_poise
 
 CODE = """
@@ -257,7 +259,7 @@ def test_no_placement_of_six_components_is_better_by_simulation(tmp_path: Path) 
 def test_what_was_not_measured_is_said_to_be_a_guess(
     placed: Place, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    guess = "the robot file names no profile that was measured, as in `profile: "
+    guess = "no profile was measured: the ages are guessed from the CPU that components"
     assert guess in str(placed())
     profile = Profile(
         robot="some", poise="", computer="", speed=1.0, at="", seconds=1.0
@@ -302,6 +304,14 @@ def test_a_chain_that_is_not_predicted_counts_what_it_takes_at_least(
     assert found["mind"] == "a"
     assert found.predicted["go"].unknown == ("see",)
     assert "not predicted: see, at least" in " ".join(str(found).split())
+
+
+def test_says_which_timers_were_late_by_what_is_not_predicted(placed: Place) -> None:
+    found = placed()
+    late = f"'mind.think' missed 40% of its deadlines when it was profiled: {LEFT_OUT}"
+    predicted = replace(found.predicted["go"], guesses=(late, "another one"))
+    *_, last = plan_parts(found.task_result, {"go": predicted})
+    assert last == f"[yellow]assumed: {late}[/]"
 
 
 def test_a_placement_that_is_late_says_how_long_deciding_took(placed: Place) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from typing import Any
 
 import pytest
@@ -9,8 +11,10 @@ from msgspec import structs
 
 from poise.session.ros2_import.graph_records import NodeProcess
 from poise.session.ros2_import.node_processes import (
+    ProcessUsage,
     WhereImported,
     component_name,
+    describe,
     name_of,
     parameters_in,
     start_of,
@@ -207,6 +211,17 @@ def test_keeps_what_its_environment_says_otherwise() -> None:
     environment = {"ROS_DOMAIN_ID": "4", "PYTHONPATH": "/ws"}
     found = keys("/opt/ros/kilted/lib/lidar/node", environment=environment)
     assert found["environment"] == environment
+
+
+@pytest.mark.slow
+def test_reads_arguments_that_are_empty_from_a_process() -> None:
+    words = [sys.executable, "-c", "input()", "", "--frame", "", ""]
+    usage = ProcessUsage()
+    with subprocess.Popen(words, stdin=subprocess.PIPE) as started:
+        usage.add(started.pid)
+        found = describe(started.pid, ("/x",), usage)
+        started.communicate(b"\n")
+    assert list(found.arguments) == words
 
 
 def test_knows_nothing_without_a_command_line() -> None:

@@ -166,6 +166,21 @@ def test_text_that_looks_like_a_number_stays_text(tmp_path: Path) -> None:
     assert (node.params, node.arguments) == ({"id": "1e3"}, ("12e5",))
 
 
+def test_what_looks_like_an_argument_of_a_robot_file_stays_text(tmp_path: Path) -> None:
+    text = "$(find x) $(gain) $$(gain)"
+    words = ("/opt/ros/k/lib/lidar/node", text, "--ros-args", "-p", f"cmd:={text}")
+    lidar = replace(
+        GRAPH.processes[0], arguments=words, environment={"ROS_X": "$(gain)"}
+    )
+    path = tmp_path / "robot.yaml"
+    path.write_text(written(replace(GRAPH, processes=(lidar, *GRAPH.processes[1:]))))
+    component = load(path).component("lidar")
+    assert component.ros2 is not None
+    assert component.ros2.params == {"cmd": text}
+    assert component.ros2.arguments == (text,)
+    assert component.environment["ROS_X"] == "$(gain)"
+
+
 def test_can_be_planned(file: Path) -> None:
     result = plan.solve(problem_of(load(file)))
     assert result.feasible

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,6 +12,7 @@ from poise.errors import UsageError
 from poise.session.running_robots import playback
 from poise.session.running_robots.running import Running
 from poise.wire.recording_file import Said
+from tests.bags import write_bag
 
 
 def test_nothing_is_played_when_a_port_is_not_in_the_recording(
@@ -44,3 +46,11 @@ def test_a_recording_without_messages_is_refused(
     monkeypatch.setattr(playback, "connect", Running)
     with pytest.raises(UsageError, match=r"no message is recorded in r\.mcap: `poise"):
         playback.play("r.mcap")
+
+
+def test_a_bag_is_left_to_ros2(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(playback, "connect", lambda _: SimpleNamespace(component=None))
+    write_bag(tmp_path / "drive", 1)
+    for path in (tmp_path / "drive", tmp_path / "drive" / "drive.mcap"):
+        with pytest.raises(UsageError, match=r"drive.* is no file .*`ros2 bag play`"):
+            playback.play(path)

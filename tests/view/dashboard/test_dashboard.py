@@ -149,6 +149,14 @@ _STILL = """() => document.getAnimations().every(
 )"""
 
 
+_LINES = """all => Math.max(...all.map(each => {
+  const inside = document.createRange();
+  inside.selectNodeContents(each);
+  return inside.getClientRects().length;
+}))"""
+"""On how many lines a text is, at most: the time of a decision was on two."""
+
+
 def test_shows_a_robot_its_log_asks_what_if_moves_and_undoes(
     robot: Path, page: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -190,6 +198,7 @@ def test_shows_a_robot_its_log_asks_what_if_moves_and_undoes(
         in_list = page.locator(".entries button", has_text="asked to move 'printer'")
         # a busy machine may have more to say since
         page.locator("button.more", has_text="decisions").click()
+        assert page.locator(".entries time").evaluate_all(_LINES) == 1
         for entry in in_time_line, in_list:
             entry.first.click()
             table = page.get_by_role("table").filter(has_text="cores too little")

@@ -204,6 +204,24 @@ def test_nothing_is_known_now_of_a_timer_whose_container_is_silent() -> None:
     assert not page["timers"]["arm.tick"]["known"]
 
 
+@pytest.mark.parametrize(("hanging", "shown"), [((), 0), (("arm",), 7.0)])
+def test_what_hangs_is_what_the_policy_says(
+    hanging: tuple[str, ...], shown: float
+) -> None:
+    """A detector that waited 50 ms for its GPU was marked as hanging."""
+    known = seen()
+    assert known.status is not None
+    left = known.status.computers["left"]
+    (container,) = left.containers
+    (arm,) = container.components
+    arm = replace(arm, hung=7.04)
+    container = replace(container, components=(arm,))
+    computers = {"left": replace(left, containers=(container,))}
+    status = replace(known.status, computers=computers, hanging=hanging)
+    page = PageState().of(replace(known, status=status), 0.0)
+    assert page["components"]["arm"]["hung"] == shown
+
+
 def test_what_was_never_measured_is_no_zero() -> None:
     known = seen()
     assert known.status is not None

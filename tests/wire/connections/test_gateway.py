@@ -86,6 +86,24 @@ def test_nonsense_is_told_and_logged_and_harms_nobody(
 
 
 @plain_remote
+def test_of_many_that_are_refused_one_is_logged_now_and_then(
+    wire: Wire, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused() -> list[str]:
+        for _ in range(20):
+            with come(wire) as stranger:
+                stranger.sendall(b"GET / HTTP/1.1\r\n\r\n")
+                everything(stranger)
+        return [said for said in caplog.messages if "from 127.0.0.1 is refused" in said]
+
+    wire.server()
+    assert len(refused()) == 1
+    monkeypatch.setattr(gateway_module, "EVERY", 0.0)
+    monkeypatch.setattr(wire.gateway, "_warn_at", 0.0)
+    assert "is refused (19 others since the last): " in refused()[1]
+
+
+@plain_remote
 def test_a_name_may_come_in_pieces(wire: Wire) -> None:
     wire.server().open("echo", Receiver())
     name = b"".join(frame.segments(TEXT, "there", FrameKind.HELLO))

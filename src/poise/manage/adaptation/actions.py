@@ -256,7 +256,7 @@ class CrashLoops:
         here = next((h for h in health if h.name == container), None)
         if here and here.state == "restarting" and here.reason:
             # what its computer lacks may be there again at any moment
-            raise RunError("it runs on no other computer; its agent keeps trying")
+            raise RunError("no other computer has room for it; its agent keeps trying")
         fault = here.last_fault if here else None
         way_out = "it is resumed when its code changes, or by `poise balance`"
         said = f" (the last time: {fault.message})" if fault else ""

@@ -25,7 +25,7 @@ from poise.manage.adaptation.placement_responders import (
     Transitions,
     UseAgainResponder,
 )
-from poise.manage.adaptation.policies import Key, Policies, Symptom, saw
+from poise.manage.adaptation.policies import Key, Policies, saw
 from poise.manage.adaptation.policy_values import values_of
 from poise.manage.adaptation.proposal import propose
 from poise.manage.adaptation.situation import Responder, Situation
@@ -33,6 +33,7 @@ from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.migration.migration_report import Proposal, TransitionReport, WhatIf
 from poise.manage.observe.deviations import Deviation
 from poise.manage.shortages.suspension import (
+    CALM,
     NeededFunctions,
     ResumeSuspended,
     StopWithoutNeeded,
@@ -68,7 +69,9 @@ class Adaptation:
         self._acts = acts
         self._keep = keep
         self._clock = clock
-        self._policies = Policies(policies_of(live.robot.policies), live.robot.folder)
+        robot, policies = live.robot, policies_of(live.robot.policies)
+        names = (component.name for component in robot.components())
+        self._policies = Policies(policies, robot.folder, names)
         self._needs = NeededFunctions(live.journal)
         self._transitions = Transitions(live, self._policies, suspensions, clock)
         limits = self._transitions.limits
@@ -83,13 +86,17 @@ class Adaptation:
         self._troubles: dict[str, tuple[str, Deviation]] = {}
         """Policy -> what is wrong with its function, in full and in short."""
         self._reported: dict[Key, Deviation] = {}
+        self._held_at: dict[Key, float] = {}
+        """What was reported -> when its condition held last."""
         self.deviations: tuple[Deviation, ...] = ()
+        self.hanging: tuple[str, ...] = ()
+        """The components that policy `hang` is about now."""
 
     def adapt(self) -> None:
         """Look at the robot once, and let the first responder act that wants to."""
         situation = self._analysed(self._situation())
         parts = self._live.parts
-        parts.run("report symptoms", partial(self._report, situation.symptoms))
+        parts.run("report symptoms", partial(self._report, situation))
         parts.run("see which architectures are suspended", self._suspensions.record)
         if self._acts:
             for responder in self.responders:
@@ -174,19 +181,27 @@ class Adaptation:
         """End what policies have started."""
         self._policies.close()
 
-    def _report(self, symptoms: tuple[Symptom, ...]) -> None:
-        """Journal each symptom when it has lasted, and when it has ended."""
-        note = self._live.journal.note
+    def _report(self, situation: Situation) -> None:
+        """Journal each symptom when it has lasted, and when it is gone for `CALM`.
+
+        At the limit of a condition, each look may see another thing.
+        """
+        note, now = self._live.journal.note, situation.now
         self._note_troubles(self._policies.troubles())
-        for symptom in symptoms:
+        for symptom in situation.symptoms:
             # a computer that is out of reach is reported as such (`LostComputers`)
             if symptom.key not in self._reported and symptom.policy.do != "fail over":
                 self._reported[symptom.key] = Deviation(
                     what=symptom.what, computer=symptom.computer, since=wall_time()
                 )
                 note("wrong", symptom.what, policies=saw([symptom]))
-        for key in sorted(self._reported.keys() - self._policies.since.keys()):
-            note("right", self._reported.pop(key).end())
+        holding, before = self._policies.since, self._held_at
+        self._held_at = {k: now if k in holding else before[k] for k in self._reported}
+        for key, at in sorted(self._held_at.items()):
+            if now - at >= CALM:
+                note("right", self._reported.pop(key).end())
+        hangs = self._reported.keys() & holding.keys()
+        self.hanging = tuple(sorted(key[1] for key in hangs if key[0] == "hang"))
         self.deviations = (
             *self._needs.deviations(),
             *(deviation for _, deviation in self._troubles.values()),

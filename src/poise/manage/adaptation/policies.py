@@ -185,7 +185,14 @@ class Policies:
     All times are of one clock that never goes back [s].
     """
 
-    def __init__(self, policies: Iterable[Policy], folder: str = "") -> None:
+    def __init__(
+        self,
+        policies: Iterable[Policy],
+        folder: str = "",
+        components: Iterable[str] = (),  # all of the robot, also those that do not run
+    ) -> None:
+        self._names: set[tuple[str, str]] = {("component", name) for name in components}
+        """What actions may be about: what does not run now is left as it is."""
         policies = [policy for policy in policies if not policy.off]
         self._policies = [(p, _condition(p).read) for p in policies if not p.call]
         self._functions = [(p, OwnFunction(p.call, folder)) for p in policies if p.call]
@@ -261,11 +268,14 @@ class Policies:
             actions = function.answer(seen) if waits else function.ask(seen)
             for action in actions:
                 whole, values = _resolved(policy, action, seen)
-                if values is None:
+                if values is not None:
+                    self._names.add((whole.for_each or "", action.about))
+                    wanted[_key(whole, values)] = whole, values
+                elif self._names.isdisjoint(
+                    (subject, action.about) for subject in ACTIONS[action.do]
+                ):
                     text = f"'{policy.call}' names no subject '{action.about}'"
                     function.trouble = f"{text} for '{action.do}'"
-                else:
-                    wanted[_key(whole, values)] = whole, values
         return wanted
 
     def due(self, symptoms: Iterable[Symptom], now: float) -> tuple[Symptom, ...]:

@@ -106,7 +106,12 @@ def nothing_helps(situation: Situation, gone: str = "") -> str:
         for demand in situation.estimates_at_work()
         if demand.estimate.starved >= STARVED
     )
-    known = (
+    too_much = ", ".join(
+        f"'{name}' needs {needs}"
+        for name, needs in situation.shifted.items()
+        if needs.is_bounded and name in situation.placement
+    )
+    known = too_much or (
         f"{starved}, but by what is known of demands all have the CPU that they need"
         if starved
         else "all components have the CPU that they need where they are"
@@ -118,6 +123,8 @@ def nothing_helps(situation: Situation, gone: str = "") -> str:
         return (
             f"{what}Lost with their computers: {gone}; components that need them wait"
         )
+    if too_much:
+        return f"{what}Give it less to do, or a computer with more CPU"
     return (
         f"{what}Check whether a component is blocked, a link is cut or slow, or a "
         "deadline too short"

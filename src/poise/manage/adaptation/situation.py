@@ -70,6 +70,14 @@ class Situation(Struct, frozen=True, kw_only=True, dict=True):
         estimates = self.demand_estimates
         return [each for each in estimates if each.component in self.placement]
 
+    def without_estimates(self, components: Collection[str]) -> Situation:
+        """Return the same with what some components need by the robot file."""
+        if not components:
+            return self
+        known = self.demand_estimates
+        kept = tuple(each for each in known if each.component not in components)
+        return replace(self, demand_estimates=kept)
+
     def within_reach(self) -> Situation:
         """Return the same without what is lost."""
         return self._without(self.lost) if self.lost else self

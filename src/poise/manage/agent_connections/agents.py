@@ -32,7 +32,6 @@ from poise.wire.control_session import (
     SESSION_TIMEOUT,
     UNCUT_SESSION_TIMEOUT,
     close_session,
-    endpoint_of,
     open_session,
 )
 from poise.wire.heartbeats import (
@@ -115,7 +114,7 @@ class Agents(AgentReports):
             clock,
             self.on_silent,
             SURELY_ENDED if is_leased else UNCUT_SURELY_ENDED,
-            datagrams or _datagrams(heard, clock, keys),
+            datagrams or UdpDatagrams(clock, keys=keys),
             votes=self._claims.votes,
         )
         self.own_keys = _renewable(keys)
@@ -300,10 +299,19 @@ class Agents(AgentReports):
         until = self._clock.now() + _VOTE_LIMIT
         while not self.heartbeats.leads():
             if self._clock.now() >= until:
-                raise RunError("a majority of agents voted, and does not confirm that")
+                raise RunError(self._why_unconfirmed(answers))
             self._clock.sleep(_LOOK_AT_VOTES)
         self.wait_news(lambda: all(map(self.obey, answers)), ANSWER_LIMIT)
         return answers
+
+    def _why_unconfirmed(self, voters: Iterable[str]) -> str:
+        silent = [name for name in sorted(voters) if not self.heartbeats.answers(name)]
+        if not silent:
+            return "a majority of agents voted, and does not confirm that"
+        return (
+            "a majority of agents voted, but does not answer heartbeats (UDP): "
+            f"{', '.join(silent)} (does a firewall let them through, both ways?)"
+        )
 
     def _poll(self, poll: Callable[[], dict[str, Claimed]]) -> dict[str, Claimed]:
         """Ask until a majority agrees; some agents hear for a moment longer who led."""
@@ -445,13 +453,6 @@ class Agents(AgentReports):
 
     def _on_ended_agent(self, computer: str) -> None:
         self.heartbeats.note_ended(computer)
-
-
-def _datagrams(
-    endpoints: Mapping[str, str], clock: Clock, keys: Credentials | None
-) -> UdpDatagrams:
-    is_ipv6 = any(":" in endpoint_of(text).host for text in endpoints.values())
-    return UdpDatagrams(clock, is_ipv6=is_ipv6, keys=keys)
 
 
 def _renewable(keys: Credentials | None) -> RenewableKeys | None:

@@ -276,6 +276,12 @@ class AgentHeartbeats:
             now = self._clock.now()
             return self._reachability.have_leases_ended(computers, now)
 
+    def answers(self, computer: str) -> bool:
+        """Return whether an agent has answered any heartbeat."""
+        with self._lock:
+            contact = self._contacts.get(computer)
+            return contact is not None and contact.acked is not None
+
     def is_heard(self, computer: str) -> bool:
         """Return whether an agent still sends heartbeats that seemed to be gone."""
         with self._lock:

@@ -159,12 +159,12 @@ class AgentReports:
         computers: Iterable[str],
         limit: float,
         check: Callable[[], None] = nothing,
-        why_silent: Callable[[str], str] = lambda _: "",
+        why_silent: Callable[[Iterable[str]], Mapping[str, str]] = lambda _: {},
     ) -> None:
         """Wait until the agents of all `computers` are there and reported.
 
         `check`: called now and then; may raise to end the waiting; `why_silent`: says
-        why the agent at an endpoint refuses connections; empty: it is not known.
+        why the agents of computers refuse connections; empty: it is not known.
         """
         wanted, deadline = set(computers), self._clock.now() + limit
         while not self.wait_news(lambda: wanted <= self.reached(), LOOK_EVERY):
@@ -173,8 +173,8 @@ class AgentReports:
             if self._clock.now() < deadline:
                 continue
             missing = sorted(wanted - self.reached())
-            reasons = {c: why_silent(self._endpoints[c]) for c in missing}
-            said = [f"{c}: {why}" for c, why in reasons.items() if why]
+            reasons = why_silent(missing).items()
+            said = [f"{computer}: {why}" for computer, why in reasons if why]
             raise RunError(
                 f"no agent answered within {limit:g} s on: {', '.join(missing)}. Is "
                 "`poise agent` running there, and can this computer reach it?"

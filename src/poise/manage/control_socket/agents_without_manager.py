@@ -6,9 +6,10 @@ something.
 
 from __future__ import annotations
 
+import errno
 import socket
 import time
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
@@ -32,6 +33,8 @@ _OTHERS_LIMIT = 0.7
 """The others report within this time after the first one [s]."""
 _CONNECT_LIMIT = 0.5
 _MOST_AT_ONCE = 8
+_TELLS_NOTHING = (socket.EAI_AGAIN, errno.ENETUNREACH)
+"""With these errors it is this computer that reaches no name server, or no network."""
 
 
 class NoManager(RunError):
@@ -82,11 +85,15 @@ def ask_agents(
     ------
     NoManager
         It is not known whether the robot runs: something listens where its agents are,
-        and none answers, or, with `wants_all`, not all do.
+        and none answers, or, with `wants_all`, not all do; or nobody says where they
+        are, or this computer has no network.
     """
     with ThreadPoolExecutor(_MOST_AT_ONCE) as pool:
-        if not any(pool.map(_listens, addresses.endpoints.values())):
-            return None
+        errors = list(pool.map(_connect_error, addresses.endpoints.values()))
+    if all(errors):
+        if not why:
+            _raise_if_nothing_told(addresses, errors)
+        return None
     endpoints, keys = addresses.endpoints, addresses.credentials()
     reports = AgentReports(addresses.robot, endpoints, SystemClock())
     session = open_session(connect=tuple(endpoints.values()), keys=keys)
@@ -114,6 +121,23 @@ def _why_not_known(addresses: AgentAddresses, reached: Collection[str]) -> str:
         f"no answer within {AGENT_LIMIT:g} s; nothing runs on "
         f"{', '.join(sorted(reached))}"
     )
+
+
+def _raise_if_nothing_told(
+    addresses: AgentAddresses, errors: Sequence[OSError | None]
+) -> None:
+    places = zip(addresses.endpoints.items(), errors, strict=True)
+    each = "".join(
+        f"\n{name}: {endpoint_of(locator)}: {error.strerror}"
+        for (name, locator), error in places
+        if error is not None and error.errno in _TELLS_NOTHING
+    )
+    if each:
+        raise NoManager(
+            f"whether robot '{addresses.robot}' runs is not known: this computer does "
+            f"not reach its agents{each}",
+            status=None,
+        )
 
 
 def _raise_if_refused(addresses: AgentAddresses, keys: Credentials | None) -> None:
@@ -155,9 +179,11 @@ def status_by_agents(
             "`poise up FILE` takes it over, `poise stop` ends it"
         )
     else:
+        passed_on = any(status.has_standbys for status in agents)
+        others = ", or on the robot's if that is one of them" if passed_on else ""
         why = (
             f"robot '{robot}' has another manager: {manager}; it takes commands on "
-            f"'{manager.host}' only"
+            f"'{manager.host}' only{others}"
         )
     first = Deviation(what=why, computer="", since=max(since) if is_gone else now)
     silent = sorted(addresses.endpoints.keys() - statuses.keys())
@@ -187,6 +213,9 @@ def _deviations(
         )
         yield Deviation(what=what, computer=name, since=now)
     for name, status in sorted(statuses.items()):
+        if status.trouble:
+            what = f"on '{name}' {status.trouble}"
+            yield Deviation(what=what, computer=name, since=now)
         if status.cut_off:
             what = f"movable components on '{name}' are inactive: its lease has ended"
             yield Deviation(what=what, computer=name, since=status.cut_off)
@@ -210,16 +239,20 @@ def _placement(statuses: Statuses) -> dict[str, str]:
     return {c.name: name for name, c in located(statuses)} | active
 
 
-def _listens(locator: str) -> bool:
-    """Return whether something may listen there; TLS servers log those who only ask."""
-    if locator.startswith("tls/"):
-        return True
+def _connect_error(locator: str) -> OSError | None:
+    """Return why nothing listens there; None: something may.
+
+    TLS servers log those who only connect: only their names are looked up.
+    """
     at = endpoint_of(locator)
     try:
-        socket.create_connection((at.host, at.port), _CONNECT_LIMIT).close()
-    except OSError:
-        return False
-    return True
+        if locator.startswith("tls/"):
+            socket.getaddrinfo(at.host, at.port)
+        else:
+            socket.create_connection((at.host, at.port), _CONNECT_LIMIT).close()
+    except OSError as error:
+        return error
+    return None
 
 
 def _clock(moment: float) -> str:

@@ -188,6 +188,7 @@ class RobotStatus(Struct, frozen=True, tag=True, kw_only=True):
     robot_tasks: tuple[str, ...] = ()  # those that can be started
     prefetch: PrefetchReport = PrefetchReport()  # what prefetch was good for
     loads: Mapping[str, Load] = {}
+    hanging: tuple[str, ...] = ()  # the components that policy `hang` is about
     # the connectors that ROS 2 makes, between nodes: topics, services, actions
     by_ros2: tuple[str, ...] = ()
     traffic: Mapping[str, ConnectorProfile] = {}  # connector -> what goes over it now

@@ -53,11 +53,12 @@ _CHANGE_LIMIT = 5.0
 _ASK_EVERY = 0.1
 
 
-def send_command(robot: str | None, command: Command) -> Result:
+def send_command(robot: str | AgentAddresses | None, command: Command) -> Result:
     """Send a command to the manager of a running robot, and return its result.
 
-    `robot`: its name; None when only one runs. When its manager is on another computer,
-    an agent passes the command on, as soon as a standby leads if the manager is gone.
+    `robot`: its name, or its agents; None when only one runs. When its manager is on
+    another computer, an agent passes the command on, as soon as a standby leads if the
+    manager is gone.
     """
     where = _find(robot)
     name = where.stem if isinstance(where, Path) else where.robot
@@ -80,7 +81,7 @@ def send_command(robot: str | None, command: Command) -> Result:
     return told
 
 
-def ask(robot: str | None, command: Command, type_: type[R]) -> R:
+def ask(robot: str | AgentAddresses | None, command: Command, type_: type[R]) -> R:
     """Return the result of a command, which is of a type; raises as `send_command`."""
     result = send_command(robot, command)
     if not isinstance(result, type_):
@@ -91,12 +92,16 @@ def ask(robot: str | None, command: Command, type_: type[R]) -> R:
     return result
 
 
-def _find(robot: str | None) -> Path | AgentAddresses:
+def _find(robot: str | AgentAddresses | None) -> Path | AgentAddresses:
     """Return the control socket of a running robot; None: of the only one.
 
     Where its manager is not here, return its agents.
     """
     managed = running_here()
+    if isinstance(robot, AgentAddresses):
+        here = noted_of(robot.robot) if robot.robot in managed else None
+        is_same = here is not None and here.endpoints == robot.endpoints
+        return path_of(robot.robot) if is_same else robot  # not one of the same name
     if robot is None:
         robot = _only_one(managed, [addresses.robot for addresses in noted()])
     if robot in managed:
@@ -150,6 +155,7 @@ def _told_elsewhere(addresses: AgentAddresses, command: Command) -> Response:
             missing = _no_manager(addresses)
             if missing.left is None:  # a standby leads soon
                 key = _manager_key(session, addresses.robot, _CHANGE_LIMIT)
+                missing = missing if key else _no_manager(addresses, waited=True)
             if not key:
                 raise missing
         limit = STATUS_LIMIT if isinstance(command, RecordCommand) else COMMAND_LIMIT
@@ -188,16 +194,24 @@ def _answers(
     return {}
 
 
-def _no_manager(addresses: AgentAddresses, denied: str = "") -> NoManager:
+def _no_manager(
+    addresses: AgentAddresses, denied: str = "", *, waited: bool = False
+) -> NoManager:
     """Return what agents say; `left`: that their manager is gone, and none will follow.
 
-    `denied`: why they take no command; UsageError when none says that something runs.
+    `denied`: why they take no command; `waited`: no standby has followed in time;
+    UsageError when none says that something runs.
     """
     status = ask_agents(addresses)
     if status is None:
         raise _not_here(addresses.robot, running_here())
     why, agents = status.deviations[0].what, status.computers.values()
-    is_over = all(each.unmanaged and not each.has_standbys for each in agents)
+    is_over = all(each.unmanaged for each in agents) and (
+        # others might have a leader
+        2 * len(agents) > len(addresses.endpoints)
+        if waited
+        else not any(each.has_standbys for each in agents)
+    )
     why += f" ({denied})" if denied else ""
     return NoManager(why, status, addresses if is_over else None)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import secrets
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from msgspec.structs import replace
@@ -135,7 +135,8 @@ def _place(live: LiveRobot, name: str) -> tuple[str, str]:
     """Return where a component works, or an empty text and why it does not."""
     placed = live.placed.get(name)
     if placed is None:
-        return "", f"component '{name}' does not run: no task at work needs it"
+        why = "no task at work needs it, or its architecture is suspended"
+        return "", f"component '{name}' does not run: {why}"
     if placed.computer in live.agents.out_of_reach():
         return "", f"computer '{placed.computer}' is out of reach"
     statuses = live.agents.statuses()
@@ -272,8 +273,7 @@ def _silent(
 
 def _capacity(computer: Computer) -> dict[str, float]:
     """Return what a computer has; an emulated slow one has a part of a core."""
-    share = 1.0 if computer.address else computer.speed
-    return {**computer.capacity, "cpu": computer.capacity.get("cpu", 0.0) * share}
+    return {**computer.capacity, "cpu": computer.own_cores}
 
 
 def _read_log(agents: Agents, command: LogCommand) -> LogReading:
@@ -304,14 +304,16 @@ def _read_log(agents: Agents, command: LogCommand) -> LogReading:
 def _read_tap(live: LiveRobot, command: TapCommand) -> TapReading:
     """Return what has gone out since the viewer asked last; from any thread."""
     agents = live.agents
-    if command.connector in _by_ros2(live):
-        topic = command.connector.rpartition(" ")[2]
-        raise UsageError(
-            f"'{command.connector}' is made by ROS 2 alone: `ros2 topic echo {topic}` "
-            "shows it"
-        )
+    by_ros2 = _by_ros2(live)
+    for name in by_ros2:
+        topic = name.rpartition(" ")[2]
+        if command.connector in (name, topic):
+            raise UsageError(
+                f"'{command.connector}' is made by ROS 2 alone: `ros2 topic echo "
+                f"{topic}` shows it"
+            )
     statuses = agents.statuses()
-    connector, computer, container = begin_of(statuses, command.connector)
+    connector, computer, container = begin_of(statuses, command.connector, by_ros2)
     asked = Tap(
         number=secrets.randbits(_BITS),
         container=container,
@@ -334,10 +336,13 @@ def _read_tap(live: LiveRobot, command: TapCommand) -> TapReading:
     raise RunError(f"connector '{connector}' on '{computer}': {why}")
 
 
-def begin_of(statuses: Statuses, asked: str) -> tuple[str, str, str]:
+def begin_of(
+    statuses: Statuses, asked: str, others: Iterable[str] = ()
+) -> tuple[str, str, str]:
     """Return a connector's name, and the computer and container where it begins.
 
-    Or the same of a component's port at which no connector begins or ends.
+    Or the same of a component's port at which no connector begins or ends. `others`
+    are those that begin in no container.
     """
     found = dict(_begins(statuses))
     sources = [name for name in found if name.startswith(f"{asked}-")]
@@ -347,7 +352,7 @@ def begin_of(statuses: Statuses, asked: str) -> tuple[str, str, str]:
     if not names and (at := _container_of(statuses, component)):
         return (asked, *at)  # a port without a connector
     if not names:
-        listed = "; ".join(sorted(found)) or "none"
+        listed = "; ".join(sorted({*found, *others})) or "none"
         raise UsageError(f"no connector '{asked}' (there are: {listed})")
     if names == targets and len(names) > 1:
         raise UsageError(

@@ -73,6 +73,7 @@ class DeploymentLayout:
             for component in architecture.components
         }
         self._components = {c.name: c for c in robot.components()}
+        self.computers = {c.name: c for c in robot.computers}
         self.leased = leased_components(robot)
         # command-line components speak by their own means: nothing is joined to them
         commands = {c.name for c in robot.components() if c.command}

@@ -45,6 +45,7 @@ def plan_move(
         implementation=old.implementation,
         code=old.code,
         gently=True,
+        actions=old.actions,
     )
     return _pending(live, old, new)
 

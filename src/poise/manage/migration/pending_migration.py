@@ -149,7 +149,12 @@ class PendingMigration:
         prepared = configured + report.phases.get("prepare", 0.0)
         report = structs.replace(report, phases={**report.phases, "prepare": prepared})
         report.note_in(self._live.journal)
-        return report
+        if report.committed:
+            return report
+        # another change may have come first
+        placed = self._live.placement()
+        now = {name: placed[name] for name in report.before if name in placed}
+        return structs.replace(report, before=now or report.before)
 
     def _is_configured(self) -> bool:
         live = self._live

@@ -18,8 +18,6 @@ from poise.manage.migration.migration_report import (
 from poise.manage.migration.move import plan_move, with_checkpoint
 from poise.units import counted
 
-_LOOK_EVERY = 0.02
-
 
 def start_together(
     live: LiveRobot,
@@ -85,10 +83,6 @@ def start_together(
         return False
     live.journal.note("done", "the components run again", placement=live.placement())
     return True
-
-
-def _names(computers: Collection[str]) -> str:
-    return " or ".join(f"'{name}'" for name in sorted(computers))
 
 
 def _with_checkpoint(live: LiveRobot, new: Incarnation) -> Incarnation:

@@ -14,6 +14,8 @@ from msgspec import Struct
 
 from poise.errors import last_error
 from poise.manage.agent_connections.statuses import Statuses, connectors_of, unjoined
+from poise.model.hardware import Computer
+from poise.units import format_amount
 from poise.wire.records.status_records import (
     AgentStatus,
     ComponentStatus,
@@ -31,6 +33,9 @@ from collections.abc import Mapping
 
 from poise.wire.records.status_records import Fault
 
+_MOSTLY = 0.88
+"""A computer has at least this share of what it is sold with: the firmware and the
+kernel keep some of its memory."""
 _CRASH_LOOP = 3
 """Restarts within a minute that make a crash loop."""
 
@@ -74,6 +79,8 @@ def find_deviations(
         here[incarnation.computer].append(incarnation)
     for computer, status in sorted(statuses.items()):
         yield from _of_components(here[computer], layout, status, now)
+        for what in _of_computer(layout.computers[computer], status):
+            yield Deviation(what=what, computer=computer, since=now)
         for what in _of_containers(names[computer], status):
             yield Deviation(what=what, computer=computer, since=now)
 
@@ -145,6 +152,24 @@ def _of_components(
                 component=incarnation.component,
                 container=container.name if container and is_fault else "",
                 since=now,
+            )
+
+
+def _of_computer(computer: Computer, status: AgentStatus) -> Iterator[str]:
+    """Yield what a computer has less of than the robot file says.
+
+    What emulates computers looks at that itself.
+    """
+    if computer.address is None:
+        return
+    has = {"cpu": status.cores, "memory": float(status.computer_memory)}
+    for resource, amount in has.items():
+        said = computer.capacity.get(resource, 0.0)
+        if 0 < amount < _MOSTLY * said:
+            yield (
+                f"computer '{computer.name}' has {format_amount(resource, amount)}, "
+                f"not the {format_amount(resource, said)} of the robot file: correct "
+                f"its `{resource}` there, or too much is placed on it"
             )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Collection, Iterable, Mapping
+from math import inf
 
 from msgspec import Struct
 
@@ -127,6 +128,38 @@ def _used(container: ContainerSample) -> float:
     return max(container.cpu, sum([c.cpu for c in container.components]))
 
 
+_ALL_USED = 0.9
+"""Where less than this share is used, CPU was to be had."""
+
+
+class CpuLeft:
+    """Tells where CPU was to be had between two samples of a computer."""
+
+    def __init__(self, robot: Robot) -> None:
+        self._cores = {c.name: c.own_cores for c in robot.computers}
+        self._before: dict[str, AgentSample] = {}
+
+    def add(self, sample: AgentSample) -> frozenset[int]:
+        """Return the containers (processes) that could have used more CPU.
+
+        The computer had some left, and so had a core, for the interpreter uses one.
+        """
+        before = self._before.get(sample.computer)
+        self._before[sample.computer] = sample
+        if before is None or before.busy is None or sample.busy is None:
+            return frozenset()
+        most = _ALL_USED * (sample.at - before.at)
+        used, cores = sample.busy - before.busy, self._cores.get(sample.computer, 0.0)
+        if not 0 <= used < most * cores:
+            return frozenset()
+        began = {container.pid: container.cpu for container in before.containers}
+        return frozenset(
+            container.pid
+            for container in sample.containers
+            if 0 <= container.cpu - began.get(container.pid, inf) < most
+        )
+
+
 _COUNT_OVER = 2.0
 """Time over which a connector's rates are counted [s]."""
 _Place = tuple[str, str]
@@ -168,6 +201,7 @@ class Estimates:
     ) -> None:
         self._speeds = {c.name: 1.0 if emulated else c.speed for c in robot.computers}
         self._demands = robot.demands("cpu")
+        self._cpu_left = CpuLeft(robot)
         self._profile = profile
         self.loads = Loads(robot, emulated=emulated)
         self._lock = threading.Lock()
@@ -182,9 +216,15 @@ class Estimates:
         self.loads.add(sample)
         drifts = []
         with self._lock:
+            with_cpu_left = self._cpu_left.add(sample)
             for container in sample.containers:
                 for component in container.components:
-                    drift = self._update(component, container.at, sample.computer)
+                    drift = self._update(
+                        component,
+                        container.at,
+                        sample.computer,
+                        had_cpu_left=container.pid in with_cpu_left,
+                    )
                     if drift is not None:
                         drifts.append((component.name, drift))
                 for connector in container.connectors:
@@ -219,7 +259,12 @@ class Estimates:
             return {name: now for name, (_, now) in sorted(self._traffic.items())}
 
     def _update(
-        self, component: ComponentSample, at: float, computer: str
+        self,
+        component: ComponentSample,
+        at: float,
+        computer: str,
+        *,
+        had_cpu_left: bool,
     ) -> Drift | None:
         known = self._followed.get(component.name)
         if known is None:
@@ -240,6 +285,8 @@ class Estimates:
                 component.wait * speed,
                 component.asked,
                 component.done,
+                speed,
+                had_cpu_left,
             )
         )
 

@@ -22,7 +22,7 @@ METRICS = {
     "computer's cores",
     "poise_component_cpu_expected_cores": "What its profile says",
     "poise_component_cpu_p95_cores": "95th percentile over sampling windows",
-    "poise_component_starved_share": "Share of its jobs that went undone",
+    "poise_component_starved_share": "Share of its jobs that lacked CPU",
     "poise_chain_age_seconds": "How old the data of a chain was when a component used "
     "it",
     "poise_chain_missed_total": "Uses of data that was older than the chain's deadline",

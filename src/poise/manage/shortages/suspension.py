@@ -36,6 +36,9 @@ LONGEST = 300.0
 """It never has to stay suspended for longer [s]."""
 FORGET_AFTER = 600.0
 """After so long at work [s] it counts as suspended for the first time again."""
+DOUBT_AFTER = 60.0
+"""For this time [s] after it may start again, what it needed last counts; then it is
+tried with what it needs by the robot file, for what it needed may have passed."""
 _LOOK_AT_CODE = 2.0
 """Whether the code of what crashed is another is looked at so often [s]."""
 
@@ -124,7 +127,7 @@ class Suspensions:
             what = f"architecture '{name}' may start again, though it crashed"
             self._live.journal.note("decided", what)
         self._crashed.clear()
-        self._stays.clear()
+        self._stays = dict.fromkeys(self._stays, (float("-inf"), 0.0))
         self._has_news = True
 
     def record(self) -> None:
@@ -157,6 +160,12 @@ class Suspensions:
         """Return what may be started again, the highest priority first."""
         self._release_mended(now)
         return [a for a in self._suspended() if self._is_due(a.name, now)]
+
+    def doubtful(self, now: float) -> frozenset[str]:
+        """Return the suspended components whose last demand is believed no more."""
+        names = (n for n, (end, _) in self._stays.items() if now - end >= DOUBT_AFTER)
+        suspended = {each.name: each.components for each in self._suspended()}
+        return frozenset(c.name for n in names for c in suspended.get(n, ()))
 
     def pop_news(self) -> bool:
         """Return whether something may start since the last time that could not."""
@@ -353,6 +362,7 @@ class ResumeSuspended:
         self._try_at = 0.0
         self._try_again = _TRY_AGAIN
         self._lost: frozenset[str] = frozenset()
+        self._doubtful: frozenset[str] = frozenset()
         self._calm_since: float | None = None
 
     def respond(self, situation: Situation, _desired: Desired) -> Change | None:
@@ -366,13 +376,18 @@ class ResumeSuspended:
         if self._calm_since is None or now - self._calm_since < CALM:
             return None
         due = self._suspensions.due(now)
-        if self._suspensions.pop_news():
+        if not due:
+            return None
+        doubtful = self._suspensions.doubtful(now)
+        if self._suspensions.pop_news() or doubtful - self._doubtful:
             self._try_at = now
-        if not due or now < self._try_at:
+        self._doubtful = doubtful
+        if now < self._try_at:
             return None
         choices = self._choices(due, situation.missing)
         if not choices:
             return None
+        situation = situation.without_estimates(doubtful)
         for architectures in choices:
             names = {c.name for a in architectures for c in a.components}
             if where := room_for_components(situation, names):

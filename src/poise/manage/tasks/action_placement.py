@@ -22,6 +22,7 @@ from poise.manage.tasks.component_reports import Serving, conditions_of
 from poise.manage.tasks.concurrent_tasks import Tasks
 from poise.manage.tasks.task_progress import Attempt, TaskRecord
 from poise.model.robot import Robot
+from poise.model.steps import Retry
 from poise.units import named
 
 MOVE = 0.01
@@ -252,6 +253,8 @@ class Admission:
         for attempt in self._tasks.tries(record):
             if attempt.progress.since is None:
                 text = f"it does not fit: {why}"
+                if isinstance(retry := attempt.action.on_failure, Retry):
+                    attempt.progress.rounds = retry.times  # it would fit no better now
                 self._tasks.end(attempt.number, now, text, done=False)
                 return
         self._tasks.block(record.name, f"it does not fit any more: {why}")

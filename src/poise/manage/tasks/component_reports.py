@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 
@@ -13,6 +14,7 @@ from poise.manage.adaptation.decision import shortages_of
 from poise.manage.adaptation.situation import Situation
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.deploy.live_robot import LiveRobot
+from poise.model.check.allowed_computers import pinned_components
 from poise.model.phases import first_action, promise_of
 from poise.model.robot import Architecture, ConnectorEnd, Robot
 from poise.model.steps import Choice
@@ -47,7 +49,7 @@ class ComponentReports:
             f"{component.name}.{end.port}": EndReport(
                 component.epoch, end.count, end.done
             )
-            for component in components_of(self._live.current())
+            for component in components_of(self._live.agents.statuses())
             if component.ends
             and (known := placed.get(component.name) or prepared.get(component.name))
             and known.epoch == component.epoch
@@ -66,9 +68,11 @@ class ComponentReports:
 
     def _new_of(self, component: ComponentStatus) -> Sequence[TaskRequest]:
         """Return all behind the last one; all, when it was started again since."""
-        last = self._heard.get(component.name, {}).get(component.epoch)
-        numbers = [request.number for request in component.task_requests]
-        begin = numbers.index(last) + 1 if last in numbers else 0
+        heard = self._heard.get(component.name, {}).values()  # it may have moved since
+        begin = 0
+        for index, request in enumerate(component.task_requests, 1):
+            if request.number in heard:
+                begin = index
         return component.task_requests[begin:]
 
 
@@ -106,6 +110,24 @@ class Serving:
             for c in a.components
             if c.name not in placed or placed[c.name].computer in lost
         }
+
+    def replaceable(
+        self, lost: Collection[str], functions: Collection[str]
+    ) -> list[str]:
+        """Return the placed components of what cannot come back and has an alternative.
+
+        Of what provides functions, and has a component pinned to a lost computer.
+        """
+        robot, placed = self._live.robot, self._live.placed
+        provided = Counter(a.function for a in robot.architectures)
+        pinned, found = pinned_components(robot), list[str]()
+        for architecture in self.moving():
+            function = architecture.function
+            here = [c.name for c in architecture.components if c.name in placed]
+            is_stuck = any(placed[n].computer in lost for n in here if n in pinned)
+            if is_stuck and function in functions and provided[function] > 1:
+                found += here
+        return found
 
     def architectures(self, functions: Collection[str]) -> list[str]:
         """Return the names of the architectures that provide functions now."""

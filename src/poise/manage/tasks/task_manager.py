@@ -168,6 +168,10 @@ class TaskManager:
         new = [due for due in self._due_actions() if due[1].progress.since is None]
         if not ends and not new:
             return False
+        needed = {name for _, each in new for name in each.action.functions}
+        if self._lost and (gone := self._serving.replaceable(self._lost, needed)):
+            why = "an alternative takes the place of what is on a lost computer"
+            self._live.commit(self._live.desired.without(gone), why)
         room = Room()
         there = self._serving.functions() | self._serving.broken(self._lost)
         if wanted - there - self._suspended:
@@ -311,7 +315,7 @@ class TaskManager:
         heard, ended = self._component_reports.ends() if turns else {}, []
         for attempt in turns:
             said = heard.get(str(attempt.action.ends))
-            if said and (said.epoch, said.count) != attempt.progress.heard:
+            if said and said.count != attempt.progress.heard[1]:  # it may have moved
                 ended.append((attempt, said))
         return ended
 

@@ -184,7 +184,7 @@ def deploy(robot: Robot, *, say: Say = log.info, check: Check = nothing) -> Depl
         wanted = frozenset(names)
         if not reports.wait_news(lambda: wanted <= reports.reached(), REACH_LIMIT):
             missing = sorted(wanted - reports.reached())
-            why = {n: computers.why_silent(computers.endpoints[n]) for n in missing}
+            why = computers.why_silent(missing)
             raise RunError(
                 "nothing was sent: out of reach within "
                 f"{REACH_LIMIT:g} s: "

@@ -7,7 +7,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Self
@@ -282,16 +282,23 @@ class Computers:
             if (code := process.poll()) is not None and code >= 0:
                 raise RunError(f"the agent of '{name}' ended with exit code {code}")
 
-    def why_silent(self, endpoint: str) -> str:
-        """Return why the agent at a zenoh endpoint does not answer; empty: unknown."""
-        from poise.wire.refusal import why_refused  # noqa: PLC0415, `ssl` is slow
+    def why_silent(self, names: Iterable[str]) -> Mapping[str, str]:
+        """Return computer -> why its agent does not answer; empty: unknown."""
+        from poise.wire.refusal import why_all_refused  # noqa: PLC0415, `ssl` is slow
 
-        return why_refused(endpoint_of(endpoint), self.addresses.credentials())
+        agents = {name: endpoint_of(self.endpoints[name]) for name in names}
+        return why_all_refused(agents, self.addresses.credentials())
 
-    def begin(self) -> None:
-        """Judge from now on whether the host gives what the emulation promised."""
+    def begin(self, promised: Mapping[str, float] = {}) -> None:
+        """Judge from now on whether the host gives what the emulation promised.
+
+        `promised`: computer -> that [cores of the host], where it is less than what the
+        computer may use.
+        """
         self._began = self._clock.now()
         if self.emulated:
+            for name, cores in promised.items():
+                self.emulated[name].promised = cores
             self._watch = StarvationWatch(self.emulated, self._clock)
 
     def poll(self) -> None:

@@ -62,6 +62,7 @@ def up_detached(
 
     `arguments`: those of the robot file, as NAME=VALUE; its computers may need them.
     """
+    keeps = ""
     with contextlib.ExitStack() as undo:
         is_emulated = not any(computer.address for computer in robot.computers)
         if is_emulated and set_for(robot) is None:
@@ -71,7 +72,7 @@ def up_detached(
             keeper = _started(["emulate", str(file), *values], log)
             undo.callback(_end_unused, robot.name, keeper)
             _wait(keeper, log, size, lambda: set_for(robot) is not None, check)
-            say(
+            keeps = (
                 f"its emulated computers stay up until `poise emulate stop`; log: {log}"
             )
             if kept := set_for(robot):
@@ -83,6 +84,8 @@ def up_detached(
         undo.callback(_end, process)
         _wait(process, log, size, lambda: _manages(process.pid, robot.name), check)
         undo.pop_all()
+    if keeps:  # not when this failed, or was interrupted
+        say(keeps)
     return Detached(robot.name, process.pid, log)
 
 

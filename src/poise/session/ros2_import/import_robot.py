@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -71,7 +72,7 @@ def import_robot(
     Raises
     ------
     RunError
-        There is no rclpy, or no node.
+        There is no rclpy, or no node whose process is known.
     """
     try:
         from poise.session.ros2_import.observer import observe
@@ -81,6 +82,8 @@ def import_robot(
             "or, on x86-64, in an environment with `pip install 'poise[ros2]'`"
         ) from error
     graph = observe(seconds)
+    if not graph.processes:
+        raise RunError(_none_is_here(graph.elsewhere))
     here = WhereImported(
         folder=str(folder.resolve()),
         environment=relevant(os.environ),
@@ -89,6 +92,12 @@ def import_robot(
     )
     machines = {HERE: hardware_keys(graph), **(computers or {})}
     return ImportedRobot(RobotText(graph, name, machines, here).write(), graph)
+
+
+def _none_is_here(elsewhere: Mapping[str, str]) -> str:
+    """Return what is wrong when no node's process is known, and why that is."""
+    nodes = [f"{name}: {why}" for name, why in sorted(elsewhere.items())]
+    return "\n".join(("there is no node here that can be imported", *nodes))
 
 
 _SHARE, _FEWEST = 0.8, 5
@@ -373,8 +382,12 @@ class _Dumper(yaml.SafeDumper):
     """Quotes text that a robot file takes for a number, such as 1e3."""
 
 
+_REFERENCE = re.compile(r"(?=\$\(\w+\))")
+"""Where text begins that a robot file takes for an argument: a `$` makes it text."""
+
+
 def _represent(dumper: _Dumper, text: str) -> yaml.ScalarNode:
-    style = None
+    style, text = None, _REFERENCE.sub("$", text)
     with contextlib.suppress(ValueError):
         float(text)
         style = "'"

@@ -45,17 +45,14 @@ def relevant(environment: Mapping[str, str]) -> dict[str, str]:
     }
 
 
-def find_pid(low: int, proc: Path = Path("/proc")) -> int | None:
-    """Return the process whose id ends so and that has ROS 2 loaded; None: unclear.
+def find_pid(low: int) -> int | None:
+    """Return the process that has ROS 2 loaded and this id; None: unclear.
 
-    Parameters
-    ----------
-    low
-        The last 16 bits of its id, in its own namespace of processes.
+    `low`: the last 16 bits of its id, in its own namespace of processes.
     """
     found = [
         int(folder.name)
-        for folder in proc.iterdir()
+        for folder in Path("/proc").iterdir()
         if folder.name.isdigit() and low in _low_ids(folder) and _has_ros(folder)
     ]
     return found[0] if len(found) == 1 else None
@@ -160,7 +157,7 @@ def _words(file: Path) -> tuple[str, ...]:
         text = file.read_text(errors="replace")
     except OSError:
         return ()
-    return tuple(text.rstrip("\0").split("\0")) if text else ()
+    return tuple(text.removesuffix("\0").split("\0")) if text else ()
 
 
 def _pairs(words: Iterable[str]) -> dict[str, str]:

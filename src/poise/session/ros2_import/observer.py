@@ -290,7 +290,7 @@ class _Observer:
             if not _is_fast_dds(info) or not _is_fast_dds(own):
                 self._elsewhere[name] = _OTHER_DDS
             elif _host(info) != _host(own):
-                self._elsewhere[name] = "it runs on another computer"
+                self._elsewhere[name] = _other_host(find_pid(_low_id(info)))
             elif (pid := find_pid(_low_id(info))) is None:
                 self._elsewhere[name] = "its process is not visible here"
             else:
@@ -363,6 +363,17 @@ def _is_fast_dds(info: TopicEndpointInfo) -> bool:
 def _host(info: TopicEndpointInfo) -> bytes:
     """Return what Fast DDS writes of the computer into the id of an endpoint."""
     return bytes(info.endpoint_gid)[2:4]
+
+
+def _other_host(pid: int | None) -> str:
+    """Return why a node is not here whose host is another; `pid`: who may be it."""
+    if pid is None:
+        return "it runs on another computer"
+    return (
+        "it runs on another computer, or it is process "
+        f"{pid} here, in a container or started before this computer's network "
+        "addresses changed: then restart it"
+    )
 
 
 def _low_id(info: TopicEndpointInfo) -> int:

@@ -18,6 +18,7 @@ from poise.session import Check, Say, log, nothing
 from poise.session.arguments import check_names, check_path, check_type
 from poise.session.running_robots.running import connect
 from poise.session.running_robots.running_component import RunningComponent
+from poise.wire.bag_file import is_bag
 from poise.wire.recording_file import Said, said_in
 
 CALLS = "calls are not played"
@@ -87,6 +88,11 @@ def play(
     check_type("rate", rate, Real, "a number")
     if not rate > 0:
         raise UsageError(f"rate {rate:g}: must be above 0")
+    if is_bag(Path(path)):
+        raise UsageError(
+            f"{path} is no file of `poise record`. If it is a bag of ROS 2, `ros2 bag "
+            "play` plays it, and the robot's bridges and nodes hear it"
+        )
     component = cache(connect(robot).component)  # asks the manager whether it is there
     _check_ports(Path(path), only)
     messages, skipped = Counter[str](), dict[str, str]()

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from msgspec.msgpack import encode
+
 from poise.clock import SystemClock
 from poise.emulate import set_for
 from poise.errors import RunError, UsageError
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.statuses import containers_left
-from poise.manage.control_socket.agents_without_manager import ask_agents
+from poise.manage.control_socket.agents_without_manager import NoManager, ask_agents
+from poise.manage.control_socket.commands import StopCommand, StopReport
+from poise.manage.control_socket.control_client import ask
+from poise.manage.deploy.desired import Desired
 from poise.manage.deploy.live_robot import STOP_LIMIT
 from poise.manage.observe.deviations import last_numbers, new_faults
 from poise.model.robot import Robot
@@ -45,16 +50,30 @@ def status_without_manager(robot: Robot) -> Status:
 
 
 def stop_without_manager(robot: Robot) -> None:
-    """End all containers of a robot on its computers.
+    """Stop a robot through its manager, or else end all containers on its computers.
 
     Raises
     ------
     UsageError
         Its computers have no addresses, and none are kept for it.
     RunError
-        A manager is at work, or a computer is out of reach.
+        A computer is out of reach.
+    NoManager
+        A manager is at work, and takes no commands from here.
     """
-    stop_agents(_addresses(robot))
+    addresses = _addresses(robot)
+    try:
+        remaining = ask(addresses, StopCommand(), StopReport).remaining
+    except NoManager as error:
+        if error.left is None:
+            raise
+    except UsageError:  # no agent says that something runs
+        pass
+    else:
+        if remaining:
+            raise RunError("\n".join(remaining))
+        return
+    stop_agents(addresses)
 
 
 def stop_agents(addresses: AgentAddresses) -> None:
@@ -81,8 +100,16 @@ def _end_all(agents: Agents, computers: set[str]) -> list[str]:
     """End all containers of computers; return which did not end in time, in words."""
     before = last_numbers(agents.statuses())
     generations = {n: s.generation + 1 for n, s in agents.statuses().items()}
+    # no standby of an agent that was out of reach starts anything again
+    last, term = encode(Desired(is_stopped=True)), agents.manager.term
     for name in sorted(computers):
-        nothing = Deployment(generation=generations[name], containers=())
+        nothing = Deployment(
+            generation=generations[name],
+            containers=(),
+            desired=last,
+            term=term,
+            is_last=True,
+        )
         agents.begin_deploy(name, nothing)
 
     def left() -> list[str]:

@@ -256,12 +256,13 @@ def _components(status: Status) -> Iterator[tuple[str, dict[str, Any]]]:
         for component in container.components:
             known = shown.get(component.name)
             if known and (known["at"] == key.computer or known["state"] == "not there"):
+                hangs = component.name in status.hanging
                 known |= {
                     "state": component.state,
                     "in": container.name,
                     "errors": component.errors,
                     "error": last_error(component.error),
-                    "hung": round(component.hung, 1),
+                    "hung": round(component.hung, 1) if hangs else 0,
                 }
     for name, shown_as in shown.items():
         if (need := needs.get(name)) is not None:

@@ -159,6 +159,32 @@ def test_an_action_about_nobody_is_said(tmp_path: Path) -> None:
         policies.close()
 
 
+def test_an_action_about_what_does_not_run_now_is_no_mistake(tmp_path: Path) -> None:
+    """Such as one that suspends what is suspended already."""
+    (tmp_path / "mine.py").write_text(CODE, encoding="utf-8")
+    own = Policy(name="own", call="mine:stranger")
+    policies = Policies([own], str(tmp_path), ["nobody"])
+    try:
+        assert policies.evaluate(SEEN.of, 0.0, waits=True) == ()
+        assert policies.troubles() == {}
+    finally:
+        policies.close()
+
+
+def test_an_action_for_a_container_about_a_component_is_said(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(
+        CODE.replace('do="restart", about', 'do="restart elsewhere", about'),
+        encoding="utf-8",
+    )
+    own = Policy(name="own", call="mine:stranger")
+    policies = Policies([own], str(tmp_path), ["nobody"])
+    try:
+        assert policies.evaluate(SEEN.of, 0.0, waits=True) == ()
+        assert "names no subject 'nobody'" in policies.troubles()["own"]
+    finally:
+        policies.close()
+
+
 def test_several_things_may_be_done_about_one_subject(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(CODE, encoding="utf-8")
     own = Policy(name="own", call="mine:thorough", lasts=0.0)

@@ -9,6 +9,7 @@ import pytest
 from msgspec.structs import replace
 
 from poise.errors import UsageError
+from poise.estimate.online import Estimate
 from poise.manage.adaptation.decision import decide
 from poise.manage.adaptation.placement_responders import (
     FailoverResponder,
@@ -19,9 +20,10 @@ from poise.manage.adaptation.situation import Responder, Situation
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.journal import Journal
-from poise.manage.observe.estimates import Load
+from poise.manage.observe.estimates import DemandEstimate, Load
 from poise.manage.shortages.suspension import (
     CALM,
+    DOUBT_AFTER,
     FIRST,
     ResumeSuspended,
     Suspensions,
@@ -139,6 +141,31 @@ class Robbed:
         """Return what the journal says of architectures."""
         entries = self.journal.entries()
         return [e.what for e in entries if "architecture" in e.what]
+
+
+def test_what_it_needed_last_is_not_believed_for_ever() -> None:
+    robbed = Robbed(robot_with())
+    assert robbed.suspensions.suspend(["low-task"], "overloaded", 0.0)
+    grown = DemandEstimate(
+        component="low",
+        computer="left",
+        expected=0.4,
+        estimate=Estimate(mean=0.9, p95=0.9, error=0.01),
+    )
+
+    def take_back(now: float) -> bool:
+        robbed.suspensions.record()
+        situation = replace(robbed.situation(), demand_estimates=(grown,))
+        return robbed.respond(robbed.taking_back, situation, now)
+
+    assert not take_back(0.0)
+    assert not take_back(FIRST)
+    assert not take_back(FIRST + DOUBT_AFTER - 1)
+    assert take_back(FIRST + DOUBT_AFTER)
+    assert robbed.run.placement() == BOTH
+    assert robbed.suspensions.suspend(["low-task"], "overloaded", 200.0)
+    robbed.suspensions.release()
+    assert take_back(201.0)
 
 
 def test_what_is_put_aside_stops_and_is_said() -> None:
