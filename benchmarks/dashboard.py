@@ -4,8 +4,9 @@ A manager tells of a robot that is made up, all of whose figures change all the 
 `poise dashboard` shows it, and headless Chromium opens it. Measured are the CPU time of
 the dashboard's process when nobody looks, with one page and with ten; and the frames
 that a page draws, against those that an empty page draws at the same time. Over a slow
-link (100 kbit/s, 200 ms each way): how long the page takes to load, how often updates
-arrive, how old they are then, and what memory the dashboard's process needs for it.
+link (`--kbit` a second, 200 ms each way): how long the page takes to load, how often
+updates arrive, how old they are then, and what memory the dashboard's process needs for
+it.
 
 It imports internal modules: the robot is made up below the control socket.
 """
@@ -98,7 +99,7 @@ def _open(page: Any, address: str, components: int) -> None:
 
 
 def _over_slow_link(
-    browser: Any, address: str, components: int, seconds: float
+    browser: Any, address: str, components: int, seconds: float, kbit: float
 ) -> tuple[float, list[float]]:
     """Return what a page takes to load, and how old each update then is [s]."""
     ages: list[float] = []
@@ -108,7 +109,7 @@ def _over_slow_link(
             ages.append(time.time() - float(sent[1]))
 
     with SlowLink(address) as link:
-        link.rate, link.delay = 100e3 / 8, 0.2
+        link.rate, link.delay = 1e3 * kbit / 8, 0.2
         page = browser.new_context().new_page()
         page.on("websocket", lambda socket: socket.on("framereceived", note))
         began = time.monotonic()
@@ -120,7 +121,7 @@ def _over_slow_link(
     return loaded, ages
 
 
-def measure(components: int, seconds: float) -> Mapping[str, float]:
+def measure(components: int, seconds: float, kbit: float) -> Mapping[str, float]:
     """Measure with a robot of so many components, each figure for so long [s]."""
     from playwright.sync_api import sync_playwright  # noqa: PLC0415, tests skip without it
 
@@ -145,7 +146,7 @@ def measure(components: int, seconds: float) -> Mapping[str, float]:
         pages[0].bring_to_front()
         figures["frames/s"] = pages[0].evaluate(FRAMES, seconds)
         before = _memory(pid)
-        loaded, ages = _over_slow_link(browser, address, components, seconds)
+        loaded, ages = _over_slow_link(browser, address, components, seconds, kbit)
         figures["seconds to load over a slow link, the first time"] = loaded
         figures["seconds between updates over a slow link"] = seconds / len(ages)
         figures["seconds until one has arrived, median"] = median(ages)
@@ -170,10 +171,11 @@ def main() -> None:
     )
     parser.add_argument("--seconds", type=float, default=10.0, help="for each figure")
     parser.add_argument("--components", type=int, nargs="*", default=[5, 200])
+    parser.add_argument("--kbit", type=float, default=100.0, help="the link's rate")
     arguments = parser.parse_args()
     for components in arguments.components:
         sys.stdout.write(f"{components} components\n")
-        measure(components, arguments.seconds)
+        measure(components, arguments.seconds, arguments.kbit)
 
 
 if __name__ == "__main__":

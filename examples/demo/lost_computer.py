@@ -46,8 +46,8 @@ def lose_computer(robot: Robot, say: Say, check: Check) -> LostComputerScene:
     ):
         wait(WARM_UP, check)
         say(f"'{lost}' loses power")
-        computers.crash(lost)
         began = time.monotonic()
+        computers.crash(lost)
         detected = wait_until(
             lambda: lost in running.status().out_of_reach, began, check
         )

@@ -75,9 +75,9 @@ def lose_leader(robot: Robot, say: Say, check: Check) -> LostLeaderScene:
         wait(WARM_UP, check)
         running.tasks.start("again")
         say(f"'{_LEADS}' loses power, with the manager and '{_MOVES}' on it")
-        computers.crash(_LEADS)
         began = time.monotonic()
         at = time.time()  # noqa: TID251 - as `out_of_reach` has it
+        computers.crash(_LEADS)
         leader = wait_until(lambda: _led_by_other(running, first), began, check)
         wait_until(lambda: _active_after(logs, began) is not None, began, check)
         status = running.status()

@@ -23,8 +23,8 @@ DOCUMENTS = [
 SHORT_FORMS = {
     "benchmarks.adaptation": "--quick --only decision --json",
     "benchmarks.calls": "--quick --only direct --json",
-    "benchmarks.dashboard": "--seconds 1 --components 5",
-    "benchmarks.data_age": "--seconds 2 --starts 1 --only t-rot --json",
+    "benchmarks.dashboard": "--seconds 1 --components 5 --kbit 1000",
+    "benchmarks.data_age": "--seconds 2 --starts 1 --only 1 --json",
     "benchmarks.drive": "--times 1 --json",
     "benchmarks.encryption": "--quick --json",
     "benchmarks.estimate": "--quick --json",

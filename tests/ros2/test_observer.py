@@ -7,6 +7,9 @@ from types import SimpleNamespace
 
 import pytest
 
+from poise.errors import RunError
+from poise.session.ros2_import.graph_records import Graph, Hardware
+from poise.session.ros2_import.import_robot import import_robot
 from poise.session.ros2_import.node_processes import ProcessUsage
 
 FAST_DDS, CYCLONE = b"\x01\x0f", b"\x01\x10"
@@ -40,6 +43,34 @@ def test_why_the_process_of_a_node_is_not_known(
     seen._find_nodes()
     assert seen._elsewhere.get("/a", "").startswith(why)
     assert ("/a" in seen._pids) is not bool(why)
+
+
+@pytest.mark.slow
+def test_says_which_process_a_node_of_another_host_may_be() -> None:
+    from poise.session.ros2_import import observer  # noqa: PLC0415, where ROS 2 is
+
+    assert observer._other_host(None) == "it runs on another computer"
+    assert "or it is process 7 here" in observer._other_host(7)
+
+
+@pytest.mark.slow
+def test_a_graph_without_a_process_becomes_no_robot(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    from poise.session.ros2_import import observer  # noqa: PLC0415, where ROS 2 is
+
+    graph = Graph(
+        computer=Hardware(name="board", cores=2.0, memory=1e9),
+        seconds=1.0,
+        elsewhere={"/b": "it runs on another computer", "/a": "no Fast DDS"},
+    )
+    monkeypatch.setattr(observer, "observe", lambda _: graph)
+    with pytest.raises(RunError) as said:
+        import_robot(1.0)
+    assert str(said.value) == (
+        "there is no node here that can be imported\n"
+        "/a: no Fast DDS\n/b: it runs on another computer"
+    )
 
 
 @pytest.mark.slow

@@ -32,3 +32,4 @@ def test_the_example_runs(tmp_path: Path) -> None:
     assert done.returncode == 0, said
     assert "ear has 20" in said
     assert "printer has 20" in said
+    assert "Traceback" not in said
