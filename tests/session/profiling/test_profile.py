@@ -10,6 +10,7 @@ import pytest
 from poise.errors import UsageError
 from poise.estimate import profiles as profile_file
 from poise.model.robot import Robot
+from poise.session.profiling import profile_robot
 from poise.session.profiling.profile_robot import profile
 from poise.session.robot_file import load_bare
 
@@ -196,6 +197,22 @@ def test_what_does_not_fit_on_one_computer_is_measured_at_its_own_rates(
     found = profile(robot, seconds=2.0, warm_up=0.5, repeat=1).profile
     calls = found.connectors["asker.hours-clock.now"].calls
     assert 16.0 < calls < 22.0
+
+
+@pytest.mark.exhaustive
+@pytest.mark.slow
+def test_a_machine_that_gets_quicker_gives_the_cpu_of_when_it_was_measured(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A core does 1000 loops before, 3000 after: 20 ms of a core of 2000 are 20 ms."""
+    (tmp_path / "robot.yaml").write_text(SMALL.replace("0.15", "1"))
+    (tmp_path / "small.py").write_text(SMALL_CODE)
+    speeds = iter([1000.0, 3000.0])
+    monkeypatch.setattr(profile_robot, "loops", lambda: next(speeds))
+    robot = load_bare(tmp_path / "robot.yaml")
+    found = profile(robot, seconds=2.0, warm_up=0.5, repeat=1).profile
+    assert found.loops == 2000.0
+    assert 0.05 < found.components["clock"].cpu.mean < 0.15
 
 
 @pytest.mark.slow

@@ -128,10 +128,8 @@ def profile(  # noqa: PLR0913 - each is a choice of the user
     computer = computer or robot.hosts[0].name
     found = []
     with steady(robot):
-        reference = 0.0
-        if robot.is_emulated:
-            others = _loops_of_others(robot, computer) if architectures else 0.0
-            reference = others or loops()
+        # what a core of the profile's machine does [loops/s]; 0: not known yet
+        reference = _loops_of_others(robot, computer) if architectures else 0.0
         measuring = _Measuring(
             robot=robot,
             computer=computer,
@@ -140,12 +138,12 @@ def profile(  # noqa: PLR0913 - each is a choice of the user
             repeat=repeat,
             say=say,
             check=check,
-            reference=reference,
         )
         for name in names:
             total = (repeat + 1) * (seconds + warm_up)
             with progress(name, total) as tick:
-                found.append(measuring.measure(name, tick))
+                found.append(measuring.measure(name, reference, tick))
+            reference = reference or found[0].loops
     silent = {n: p for each in found for n, p in each.silent.items()}
     unrecorded = [name for each in found for name in each.unrecorded]
     new = measuring.profile([each.figures for each in found], unrecorded, reference)
@@ -168,9 +166,13 @@ def _chosen(robot: Robot, names: Sequence[str]) -> list[str]:
 
 
 class _Found(Struct, frozen=True):
-    """Figures of an architecture, ports that got nothing, and who did not work so."""
+    """Figures of an architecture, ports that got nothing, and who did not work so.
+
+    `loops`: what a core did while it was measured [loops/s]; 0: of a real computer.
+    """
 
     figures: Figures
+    loops: float
     silent: Mapping[str, Sequence[str]]
     unrecorded: Sequence[str]
 
@@ -208,11 +210,7 @@ def _is_of(profile: Profile, robot: Robot, computer: str) -> bool:
 
 
 class _Measuring(Struct, frozen=True, kw_only=True):
-    """Measures architectures, one after the other.
-
-    `reference`: what a core of the profile's machine does [loops/s], where computers
-    are emulated.
-    """
+    """Measures architectures, one after the other."""
 
     robot: Robot
     computer: str
@@ -221,15 +219,19 @@ class _Measuring(Struct, frozen=True, kw_only=True):
     repeat: int
     say: Say
     check: Check
-    reference: float
 
-    def measure(self, architecture: str, tick: Tick) -> _Found:
-        """Measure one architecture: as it is used, and with its components apart."""
+    def measure(self, architecture: str, reference: float, tick: Tick) -> _Found:
+        """Measure one architecture: as it is used, and with its components apart.
+
+        `reference`: what a core of the profile's machine does [loops/s]; 0: what one
+        does here.
+        """
         rig = rig_of(self.robot, architecture, self.computer, apart=False)
         apart = rig_of(self.robot, architecture, self.computer, apart=True)
         before = self._loops()
         runs = self._runs(rig, tick)
-        speed = self._speed((before + self._loops()) / 2)
+        here = (before + self._loops()) / 2
+        speed = self._speed(here, reference)
         sizes = self._run(apart, tick)
         if (full := how_full(runs, rig)) >= _FULL:
             self.say(_full(rig.computer, full))
@@ -250,7 +252,7 @@ class _Measuring(Struct, frozen=True, kw_only=True):
                 "figures are discarded; `poise log` of a run says more"
             )
         idle = failed.always.union(self._idle(sizes, silent))
-        return _Found(found, silent, sorted(idle))
+        return _Found(found, here, silent, sorted(idle))
 
     def _silent(
         self, rig: ProfilingRig, runs: Sequence[Observed]
@@ -324,15 +326,15 @@ class _Measuring(Struct, frozen=True, kw_only=True):
         """Return what a core here does now [loops/s]: others may slow it down."""
         return loops() if self.robot.is_emulated else 0.0
 
-    def _speed(self, loops: float) -> float:
+    def _speed(self, here: float, reference: float) -> float:
         """Return the factor from the computer's CPU time to the reference computer's.
 
         An emulated computer of speed 0.5 runs half of the time, at full speed; its
-        reference is a core of the machine of the profile, and a core did `loops` while
-        it was measured.
+        reference is a core of the machine of the profile, if there is one, and a core
+        did `here` while it was measured.
         """
         if self.robot.is_emulated:
-            return loops / self.reference
+            return here / (reference or here)
         return self.robot.computer(self.computer).speed
 
 
