@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from poise import Message, Stamp
 from poise.clock import SystemClock
@@ -41,3 +45,53 @@ def test_a_number_that_ros_would_cut_is_refused(number: int) -> None:
     text = f"Size.width is {number}, which does not fit into uint32"
     with pytest.raises(ValueError, match=text):
         to_ros(Size(height=0, width=number))
+
+
+class Known(Message):
+    """How well a pose is known."""
+
+    covariance: NDArray[np.float64]
+
+
+class Listed(Message):
+    """The same, as a list."""
+
+    covariance: list[float]
+
+
+@pytest.mark.parametrize(
+    "known", [lambda n: Known(np.zeros(n)), lambda n: Listed([0.0] * n)]
+)
+def test_an_array_of_another_length_is_refused(
+    known: Callable[[int], Known | Listed],
+) -> None:
+    from geometry_msgs.msg import PoseWithCovariance  # noqa: PLC0415, where it is there
+
+    to_ros = Conversions(SystemClock()).of(type(known(0)), PoseWithCovariance).to_ros
+    assert len(to_ros(known(36)).covariance) == 36
+    for length in (35, 37):
+        text = rf"covariance has {length} values, but is double\[36\] in ROS 2"
+        with pytest.raises(ValueError, match=text):
+            to_ros(known(length))
+
+
+class Ranges(Message):
+    """Which numbers a parameter may have."""
+
+    integer_range: list[Range]
+
+
+class Range(Message):
+    """From where to where."""
+
+    from_value: int
+    to_value: int
+
+
+def test_a_list_may_be_shorter_than_its_bound() -> None:
+    from rcl_interfaces.msg import ParameterDescriptor  # noqa: PLC0415, as above
+
+    to_ros = Conversions(SystemClock()).of(Ranges, ParameterDescriptor).to_ros
+    assert to_ros(Ranges([])).integer_range == []
+    with pytest.raises(ValueError, match="integer_range has 2 values, but is sequence"):
+        to_ros(Ranges([Range(1, 2), Range(3, 4)]))

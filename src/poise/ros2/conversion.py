@@ -9,6 +9,7 @@ from __future__ import annotations
 import array
 import enum
 import importlib
+import re
 import struct
 from collections.abc import Callable
 from typing import Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
@@ -106,7 +107,8 @@ class Conversions:
         if kind == "builtin_interfaces/Duration":
             return self._duration(hint, where)
         if (of := _element(kind)) is not None:
-            return self._several(hint, of, kind, where)
+            pair = self._several(hint, of, kind, where)
+            return Conversion(_sized(pair.to_ros, kind, where), pair.from_ros)
         if "/" in kind:
             if isinstance(hint, type) and issubclass(hint, msgspec.Struct):
                 return self._message(hint, _class_of(kind), where)
@@ -216,6 +218,22 @@ def _whole(kind: str, where: str) -> Convert:
         return made
 
     return to_ros
+
+
+def _sized(to_ros: Convert, kind: str, where: str) -> Convert:
+    """Return what checks a length, too, beyond which ROS 2 would read other memory."""
+    size = re.search(r"(\[|, ?)(\d+)[]>]$", kind)
+    if size is None:
+        return to_ros
+    is_fixed, most = size[1] == "[", int(size[2])
+
+    def sized(value: Any) -> Any:  # noqa: ANN401, a sequence
+        made = to_ros(value)
+        if len(made) > most or (is_fixed and len(made) < most):
+            raise ValueError(f"{where} has {len(made)} values, but is {kind} in ROS 2")
+        return made
+
+    return sized
 
 
 def _same(value: Any) -> Any:  # noqa: ANN401, any value
