@@ -108,6 +108,33 @@ def test_what_goes_on_on_a_lost_computer_has_lost_no_state(
     assert run.lost_states.keys() == {"low"}
 
 
+def test_what_goes_on_without_a_checkpoint_that_was_refused_has_lost_no_state(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The computer that was to take it was cut off as well, for a moment."""
+    robot = robot_with().with_components(
+        lambda c: replace(c, checkpoint=1.0 if c.name == "low" else 0.0)
+    )
+    robbed = Robbed(robot)
+    run = robbed.run
+    run.agents.checkpoints.note(
+        CheckpointCopy(
+            component="low", epoch=run.placed["low"].epoch, data=b"state", age=0.0
+        )
+    )
+    monkeypatch.setattr(run.agents, "keep_checkpoint", lambda *_: "no answer")
+
+    def come_to_nothing(*_: object) -> None:
+        raise RunError("computer 'left' has been out of reach")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(run, "wait", come_to_nothing)
+        assert not start_together(run, {"low": "left"}, lost=["left"])
+    assert run.lost_states == {}
+    assert start_together(run, {"low": "left"}, lost=["left"])
+    assert "did not take the checkpoint (no answer)" in run.lost_states["low"].what
+
+
 def test_what_stays_where_it_was_keeps_its_checkpoints(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

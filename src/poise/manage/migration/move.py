@@ -11,11 +11,14 @@ from __future__ import annotations
 
 import contextlib
 import time
+from collections.abc import Callable
+from functools import partial
 
 from msgspec import structs
 
 from poise import plan
 from poise.errors import RunError, UsageError
+from poise.manage.agent_connections.reports import nothing
 from poise.manage.agent_connections.statuses import calling_ports, components_of
 from poise.manage.deploy.desired import Incarnation
 from poise.manage.deploy.live_robot import ACTIVE_LIMIT, READY_LIMIT, LiveRobot
@@ -233,13 +236,25 @@ def _restart_failed(
 def with_checkpoint(
     live: LiveRobot, new: Incarnation, kept: CheckpointCopy | None
 ) -> Incarnation:
-    """Let an agent keep the state that a component has to go on from, if there is."""
+    """Let an agent keep the state that a component goes on from; journal that."""
+    new, note = hand_checkpoint(live, new, kept)
+    note()
+    return new
+
+
+def hand_checkpoint(
+    live: LiveRobot, new: Incarnation, kept: CheckpointCopy | None
+) -> tuple[Incarnation, Callable[[], None]]:
+    """Let an agent keep the state that a component has to go on from, if there is.
+
+    The callable journals that, once it is sure that the component starts there.
+    """
     if kept is None:
-        return structs.replace(new, fresh=True)
+        return structs.replace(new, fresh=True), nothing
     mine = structs.replace(kept, epoch=new.epoch)
     refusal = live.agents.keep_checkpoint(new.computer, mine)
-    live.note_checkpoint(new.computer, mine, refusal)
-    return structs.replace(new, fresh=bool(refusal))
+    note = partial(live.note_checkpoint, new.computer, mine, refusal)
+    return structs.replace(new, fresh=bool(refusal)), note
 
 
 def _restart(

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import partial
 
 from msgspec import structs
 
@@ -15,7 +16,7 @@ from poise.manage.migration.migration_report import (
     TransitionReport,
     TransitionStep,
 )
-from poise.manage.migration.move import plan_move, with_checkpoint
+from poise.manage.migration.move import hand_checkpoint, plan_move
 from poise.units import counted
 
 
@@ -41,13 +42,15 @@ def start_together(
         for name, computer in placement.items()
         for begun in [live.begun(name, computer)]
     ]
-    new = [_with_checkpoint(live, incarnation) for incarnation in new]
+    handed = [_hand_checkpoint(live, incarnation) for incarnation in new]
+    new = [incarnation for incarnation, _ in handed]
+    notes = {incarnation.component: note for incarnation, note in handed}
     old = [live.placed[name] for name in sorted(placement.keys() & live.placed.keys())]
-    lost_states = {each.component: _lost_state(live, each) for each in old}
     lost = {incarnation.computer for incarnation in old}.intersection(lost)
     # one of the lost that comes back meanwhile must keep what it has
     ends = [incarnation for incarnation in old if incarnation.computer not in lost]
-    _note_lost_states(live, ends, lost_states)
+    for each in ends:
+        notes[each.component]()
     desired = live.desired.without([incarnation.component for incarnation in ends])
     inactive = [incarnation.with_goal("inactive") for incarnation in new]
     try:
@@ -71,8 +74,9 @@ def start_together(
         return False
     # where they were, they have no lease any more
     live.commit(live.desired.placing(new), "components start together")
-    left = [incarnation for incarnation in old if incarnation.computer in lost]
-    _note_lost_states(live, left, lost_states)
+    for each in old:
+        if each.computer in lost:
+            notes[each.component]()
     try:
         live.wait(new, ACTIVE_LIMIT)
     except RunError as error:
@@ -85,43 +89,35 @@ def start_together(
     return True
 
 
-def _with_checkpoint(live: LiveRobot, new: Incarnation) -> Incarnation:
-    """Return it with what was kept of what is placed."""
+def _hand_checkpoint(
+    live: LiveRobot, new: Incarnation
+) -> tuple[Incarnation, Callable[[], None]]:
+    """Return it with what was kept of what is placed, and what journals its state."""
     before = live.placed.get(new.component)
-    kept = None
-    if before is not None:
-        kept = live.agents.checkpoints.get(before.component, before.epoch)
-    return with_checkpoint(live, new, kept)
+    if before is None:
+        return hand_checkpoint(live, new, None)
+    kept = live.agents.checkpoints.get(before.component, before.epoch)
+    new, note = hand_checkpoint(live, new, kept)
+    if kept is None and (lost := _lost_state(live, before)):
+        note = partial(live.note_lost_state, before.component, before.computer, lost)
+    return new, note
 
 
 def _lost_state(live: LiveRobot, before: Incarnation) -> str:
-    """Return why a component starts without the state that it had; empty: it does not.
-
-    It had none, or a checkpoint was kept.
-    """
+    """Return why what has no checkpoint loses its state; empty: it had none."""
     name = before.component
     has_checkpoint = bool(live.robot.component(name).checkpoint)
     has_state = any(
         at == before.computer and c.name == name and c.has_state
         for at, c in located(live.agents.statuses())
     )
-    is_kept = live.agents.checkpoints.get(name, before.epoch) is not None
-    if is_kept or not (has_checkpoint or has_state):
+    if not (has_checkpoint or has_state):
         return ""
     why = "it has no `checkpoint` in the robot file"
     if has_checkpoint:
         why = "this manager has no copy of its checkpoint"
     lost = f"without the state that it had on '{before.computer}': {why}"
     return f"component '{name}' started {lost}"
-
-
-def _note_lost_states(
-    live: LiveRobot, ended: Collection[Incarnation], lost_states: Mapping[str, str]
-) -> None:
-    """Journal which components lost their state; `status` shows it."""
-    for each in ended:
-        if what := lost_states[each.component]:
-            live.note_lost_state(each.component, each.computer, what)
 
 
 def transit(live: LiveRobot, steps: tuple[TransitionStep, ...]) -> TransitionReport:
