@@ -14,7 +14,7 @@ from msgspec import Struct
 from poise.units import quoted
 
 NAME = r"[A-Za-z][A-Za-z0-9_-]{0,62}"
-NAME_SAYS = "a letter, then up to 62 letters, digits, '_' or '-'"
+NAME_SAYS = "a letter of a-z or A-Z, then up to 62 such letters, digits, '_' or '-'"
 
 AGENT_PORT = 7447
 """The TCP port of an agent, unless it is given another one."""

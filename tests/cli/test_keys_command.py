@@ -34,7 +34,7 @@ def test_a_computer_has_a_name_that_a_robot_file_may_have(tmp_path: Path) -> Non
     asked, out = ("keys", "issue", "hello"), ("--out", tmp_path / "out")
     done = run_poise(*asked, "left", "arm.2", *out)
     assert done.returncode == 2
-    assert "'arm.2' is not a computer's name: a letter, then" in done.stderr
+    assert "'arm.2' is not a computer's name: a letter of a-z" in done.stderr
     assert not (tmp_path / "out").exists()
     people = (*out, "--role", "viewer")
     assert run_poise(*asked, "arm.2", *people).returncode == 0

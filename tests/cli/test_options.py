@@ -78,7 +78,7 @@ def test_two_ways_to_name_a_robot_are_refused(command: str) -> None:
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (["--name", "my robot"], "--name 'my robot' is not a name: a letter, then"),
+        (["--name", "my robot"], "--name 'my robot' is not a name: a letter of a-z"),
         (["--computer", "a.b:cpu=2,memory=1GiB"], "--computer 'a.b' is not a name"),
         (["--computer", "arm:gpu=2"], "--computer arm: say its cpu and its memory"),
         (["--computer", "arm:cpu=2,memory=0"], "--computer arm: say its cpu and its"),

@@ -46,14 +46,17 @@ def test_refuses_a_missing_key(refuse: Refuse) -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("▸robot: 2 b\n" + COMPUTERS, ["robot: '2 b'", "a letter, then up to 62"]),
+        (
+            "▸robot: 2 b\n" + COMPUTERS,
+            ["robot: '2 b'", "a letter of a-z or A-Z, then up"],
+        ),
         (f'▸robot: "r\\n"\n{COMPUTERS}', [r"'r\n'", "a letter"]),
         ("robot: r\n▸computers: {}\n", ["has 0 entries", "at least 1"]),
         ("robot: r\n▸computers: main\n", ["must be a mapping", "not 'main'"]),
         ("robot: r\n▸computers:\n", ["must be a mapping", "not nothing"]),
         (
             "robot: r\ncomputers: {▸ä: {cpu: 1, memory: 1}}\n",
-            ["computers.ä: 'ä' is not allowed"],
+            ["computers.ä: 'ä' is not allowed", "of a-z or A-Z"],
         ),
         (
             "robot: r\ncomputers: {m: {▸cpu: 0, memory: 1}}\n",

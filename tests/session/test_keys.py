@@ -266,7 +266,7 @@ def test_a_step_of_a_rotation_that_was_cut_short_is_taken_again(
 def test_who_has_no_name_of_a_robot_gets_no_authority(
     name: str, tmp_path: Path
 ) -> None:
-    with pytest.raises(UsageError, match="is not a robot's name: a letter, then up"):
+    with pytest.raises(UsageError, match="is not a robot's name: a letter of a-z"):
         init_keys(name, tmp_path / "owner")
     assert not list(tmp_path.iterdir())
 
