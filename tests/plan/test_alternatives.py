@@ -1,8 +1,10 @@
 """Priorities and alternatives: what is suspended, and which architecture is chosen."""
 
+import pytest
 from msgspec.structs import replace
 
 from poise import plan
+from poise.errors import UsageError
 from poise.model.robot import Computer, Objective
 from poise.plan import Bundle, Item, Problem
 
@@ -145,6 +147,31 @@ def test_the_way_out_is_that_of_the_alternative_that_needs_least() -> None:
     assert "It would fit with 0.05 more cpu on one" in result.reason
     assert result.conflict is not None
     assert result.conflict.price == 0.05
+
+
+def test_an_alternative_that_may_run_nowhere_else_is_left_out_with_its_computer() -> (
+    None
+):
+    """So fewer computers will do; a function that nothing else provides is told."""
+    pinned = (architecture("good", function="see"), 0.5)
+    plain = (architecture("plain", function="see", quality=0.5), 0.5)
+    one, two = (Computer(name=name, capacity={"cpu": 1.0}) for name in ("one", "two"))
+
+    def held(*architectures: tuple[Bundle, float]) -> Problem:
+        asked = problem(*architectures, room=1.0)
+        first, *others = asked.components
+        components = replace(first, only=("one",)), *others
+        return replace(asked, components=components, computers=(one, two))
+
+    left = plan.solve(plan.without(held(pinned, plain), ["one"]))
+    assert left.placement == {"plain.part": "two"}
+    other = (architecture("drive"), 0.75)
+    few = held(pinned, plain, other)
+    few = replace(few, computers=(replace(one, price=3.0), two, replace(one, name="x")))
+    found = plan.smallest([plan.TaskProblem.of_one("all", few)], plan.solve_phases)
+    assert found.computers == ("two", "x")
+    with pytest.raises(UsageError, match=r"these can run nowhere: good\.part"):
+        plan.without(held(pinned, other), ["one"])
 
 
 def test_a_placement_with_an_alternative_without_components_can_be_evaluated() -> None:

@@ -79,6 +79,8 @@ def scale_of(problem: Problem, arrays: Arrays | None = None) -> float | None:
 def without(problem: Problem, names: Collection[str]) -> Problem:
     """Return the problem without the computers called `names`.
 
+    An architecture that may run on no other is left out where an alternative may.
+
     Raises
     ------
     UsageError
@@ -88,10 +90,8 @@ def without(problem: Problem, names: Collection[str]) -> Problem:
     for name in names:
         if name not in known:
             raise UsageError(unknown("computer", name, known))
-    stranded = [
-        c.name for c in problem.components if c.only and set(c.only) <= set(names)
-    ]
-    if stranded:
+    problem = _without_stranded(problem, names)
+    if stranded := _stranded(problem, names):
         raise UsageError(
             f"without {', '.join(sorted(names))}, these can run nowhere: "
             f"{', '.join(stranded)}"
@@ -161,6 +161,23 @@ def scale(problem: Problem, factors: Mapping[str, float]) -> Problem:
             for h in problem.computers
         ),
     )
+
+
+def _stranded(problem: Problem, names: Collection[str]) -> list[str]:
+    """Return the components that may run only on computers called `names`."""
+    return [c.name for c in problem.components if c.only and {*c.only} <= {*names}]
+
+
+def _without_stranded(problem: Problem, names: Collection[str]) -> Problem:
+    """Return the problem without architectures that are stranded, where others run."""
+    stranded = _stranded(problem, names)
+    able = [a for a in problem.architectures if not {*a.components} & {*stranded}]
+    served = {a.function for a in able if a.function}
+    gone = [a for a in problem.architectures if a.function in served and a not in able]
+    others = [a for a in problem.architectures if a not in gone]
+    dropped = {name for a in gone for name in a.components}
+    dropped.difference_update(*(a.components for a in others))
+    return keep_components(problem, {c.name for c in problem.components} - dropped)
 
 
 def _without(component: Item, names: Collection[str]) -> Item:
