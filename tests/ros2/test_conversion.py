@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable
 
 import numpy as np
@@ -47,32 +48,32 @@ def test_a_number_that_ros_would_cut_is_refused(number: int) -> None:
         to_ros(Size(height=0, width=number))
 
 
-class Known(Message):
-    """How well a pose is known."""
+class Camera(Message):
+    """What a camera's lens does."""
 
-    covariance: NDArray[np.float64]
+    k: NDArray[np.float64]
 
 
 class Listed(Message):
     """The same, as a list."""
 
-    covariance: list[float]
+    k: list[float]
 
 
 @pytest.mark.parametrize(
-    "known", [lambda n: Known(np.zeros(n)), lambda n: Listed([0.0] * n)]
+    "camera", [lambda n: Camera(np.zeros(n)), lambda n: Listed([0.0] * n)]
 )
 def test_an_array_of_another_length_is_refused(
-    known: Callable[[int], Known | Listed],
+    camera: Callable[[int], Camera | Listed],
 ) -> None:
-    from geometry_msgs.msg import PoseWithCovariance  # noqa: PLC0415, where it is there
+    from sensor_msgs.msg import CameraInfo  # noqa: PLC0415, where it is there
 
-    to_ros = Conversions(SystemClock()).of(type(known(0)), PoseWithCovariance).to_ros
-    assert len(to_ros(known(36)).covariance) == 36
-    for length in (35, 37):
-        text = rf"covariance has {length} values, but is double\[36\] in ROS 2"
+    to_ros = Conversions(SystemClock()).of(type(camera(0)), CameraInfo).to_ros
+    assert len(to_ros(camera(9)).k) == 9
+    for length in (8, 10):
+        text = rf"k has {length} values, but is double\[9\] in ROS 2"
         with pytest.raises(ValueError, match=text):
-            to_ros(known(length))
+            to_ros(camera(length))
 
 
 class Ranges(Message):
@@ -89,9 +90,8 @@ class Range(Message):
 
 
 def test_a_list_may_be_shorter_than_its_bound() -> None:
-    from rcl_interfaces.msg import ParameterDescriptor  # noqa: PLC0415, as above
-
-    to_ros = Conversions(SystemClock()).of(Ranges, ParameterDescriptor).to_ros
+    described = importlib.import_module("rcl_interfaces.msg").ParameterDescriptor
+    to_ros = Conversions(SystemClock()).of(Ranges, described).to_ros
     assert to_ros(Ranges([])).integer_range == []
     with pytest.raises(ValueError, match="integer_range has 2 values, but is sequence"):
         to_ros(Ranges([Range(1, 2), Range(3, 4)]))
