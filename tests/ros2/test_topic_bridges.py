@@ -10,7 +10,7 @@ import pytest
 from poise.errors import RobotError
 from poise.ros2.arrivals import Arrivals
 from poise.ros2.bridge_node import BridgeLine
-from poise.ros2.topic_bridges import FromTopics
+from poise.ros2.topic_bridges import FromTopics, ToTopics
 
 
 class Taking:
@@ -64,5 +64,39 @@ def test_publishers_of_another_type_are_told_of_once() -> None:
     bridge.node = SimpleNamespace(get_publishers_info_by_topic=topics.__getitem__)
     what = "node 'talker' publishes std_msgs/msg/Int32 on '/said', where the bridge "
     with pytest.raises(RobotError, match=f"{what}takes std_msgs/msg/String"):
-        bridge._look_at_types()
-    bridge._look_at_types()
+        bridge.look_at_others()
+    bridge.look_at_others()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("type_", "reliability", "why"),
+    [
+        ("std_msgs/msg/Int32", "BEST_EFFORT", "takes std_msgs/msg/Int32 from '/said'"),
+        ("std_msgs/msg/String", "RELIABLE", "gets nothing from '/said', to which .*: "),
+        ("std_msgs/msg/String", "BEST_EFFORT", ""),
+    ],
+)
+def test_subscribers_that_get_nothing_are_told_of_once(
+    type_: str, reliability: str, why: str
+) -> None:
+    from rclpy import duration, qos  # noqa: PLC0415, where it is there
+
+    line = BridgeLine(
+        ros2="/said", type="std_msgs/msg/String", reliability="best effort"
+    )
+    wants = qos.QoSProfile(  # with all policies, as discovery tells them
+        depth=1,
+        reliability=qos.ReliabilityPolicy[reliability],
+        deadline=duration.Infinite,
+        liveliness_lease_duration=duration.Infinite,
+    )
+    other = SimpleNamespace(node_name="ear", topic_type=type_, qos_profile=wants)
+    bridge: Any = object.__new__(ToTopics)
+    bridge._misfits = set()
+    bridge.__dict__["entries"] = [line]
+    bridge.node = SimpleNamespace(get_subscriptions_info_by_topic=lambda _: [other])
+    if why:
+        with pytest.raises(RobotError, match=f"^node 'ear' {why}"):
+            bridge.look_at_others()
+    bridge.look_at_others()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import msgspec
@@ -15,13 +15,14 @@ from poise.ros2.arrivals import Arrivals
 from poise.ros2.bridge_node import BridgeLine, BridgeNode, annotated
 from poise.ros2.conversion import Conversion, Conversions, Convert
 from poise.ros2.interfaces import interface
-from poise.runtime.component.ports import Port, Published, published, subscribed
+from poise.runtime.component.ports import Port, Published, every, published, subscribed
 
 _HAND_OVER = 1e-6
 """After each message it sleeps [s], so that subscribers in its process run at once: to
 wait for ROS 2 again, its executor keeps Python's lock for 0.1 ms."""
 _LOOK_EVERY = 2.0
-"""So often it looks at what types others publish [s]."""
+"""So often it looks at what others publish, or want [s]."""
+_ERROR = "ERROR: "
 
 
 class ToTopics(BridgeNode):
@@ -37,6 +38,11 @@ class ToTopics(BridgeNode):
         of = Conversions(clock).of
         return [of(cls.port.type, interface(entry.type)) for entry in cls.entries]
 
+    def configure(self) -> None:
+        """Make a node of its own."""
+        self._misfits: set[str] = set()
+        super().configure()
+
     def open(self) -> None:
         """Make the publishers."""
         self._out: list[tuple[Convert, Convert]] = []
@@ -47,6 +53,38 @@ class ToTopics(BridgeNode):
 
     def listen(self) -> None:
         """Do not wait for ROS 2, from where nothing comes."""
+
+    @every(_LOOK_EVERY)
+    def look_at_others(self) -> None:
+        """Raise once for each node that does not fit: nothing else says it."""
+        for entry in self.entries:
+            for text in self._misfitting(entry):
+                if text not in self._misfits:
+                    self._misfits.add(text)
+                    raise RobotError(text)
+
+    def _misfitting(self, entry: BridgeLine) -> Iterator[str]:
+        """Yield what subscribers take that this does not give."""
+        from rclpy import duration, qos  # noqa: PLC0415, only where a node runs
+
+        offered = entry.qos()
+        offered.deadline = offered.liveliness_lease_duration = duration.Infinite
+        for other in self.node.get_subscriptions_info_by_topic(entry.ros2):
+            if other.topic_type != entry.type:
+                yield (
+                    f"node '{other.node_name}' takes {other.topic_type} from "
+                    f"'{entry.ros2}', where the bridge publishes {entry.type}: it gets "
+                    "nothing"
+                )
+                continue
+            fits, why = qos.qos_check_compatible(offered, other.qos_profile)
+            if fits == qos.QoSCompatibility.ERROR:
+                reasons = [r for r in why.split(";") if r.startswith(_ERROR)]
+                yield (
+                    f"node '{other.node_name}' gets nothing from '{entry.ros2}', to "
+                    "which the bridge publishes: "
+                    f"{'; '.join(r.removeprefix(_ERROR).lower() for r in reasons)}"
+                )
 
     def _take(self, message: Any) -> None:  # noqa: ANN401, as the port says
         for publish, to_ros in self._out:
@@ -65,7 +103,6 @@ class FromTopics(ToTopics):
     def configure(self) -> None:
         """Make a node of its own."""
         self._arrivals = Arrivals()
-        self._misfits: set[tuple[str, str]] = set()
         super().configure()
 
     def snapshot(self) -> Came:
@@ -80,7 +117,6 @@ class FromTopics(ToTopics):
         """Make the subscriptions."""
         for entry, pair in zip(self.entries, self.conversions(self.clock), strict=True):
             self._subscribe(entry, pair.from_ros, {})
-        self.node.create_timer(_LOOK_EVERY, self._look_at_types)
 
     def activate(self) -> None:
         """Begin to hear ROS 2, with what came since its predecessor heard the last."""
@@ -126,21 +162,15 @@ class FromTopics(ToTopics):
             event_callbacks=SubscriptionEventCallbacks(incompatible_qos=offered_less),
         )
 
-    def _look_at_types(self) -> None:
-        """Raise once for each type that a publisher has instead: nothing else says it.
-
-        ROS 2 tells nobody; the two never hear of each other.
-        """
-        for entry in self.entries:
-            for other in self.node.get_publishers_info_by_topic(entry.ros2):
-                misfit = entry.ros2, other.topic_type
-                if other.topic_type != entry.type and misfit not in self._misfits:
-                    self._misfits.add(misfit)
-                    raise RobotError(
-                        f"node '{other.node_name}' publishes {other.topic_type} on "
-                        f"'{entry.ros2}', where the bridge takes {entry.type}: nothing "
-                        "comes from it"
-                    )
+    def _misfitting(self, entry: BridgeLine) -> Iterator[str]:
+        """Yield what publishers give that this does not take; the two never meet."""
+        for other in self.node.get_publishers_info_by_topic(entry.ros2):
+            if other.topic_type != entry.type:
+                yield (
+                    f"node '{other.node_name}' publishes {other.topic_type} on "
+                    f"'{entry.ros2}', where the bridge takes {entry.type}: nothing "
+                    "comes from it"
+                )
 
 
 _LEAST = {"reliability": {"reliability": "BEST_EFFORT"}}
