@@ -89,6 +89,7 @@ def test_what_is_no_class_is_refused(package: Path) -> None:
         ("def f():\n    raise KeyError('k')\nf()\n", ["KeyError: 'k'", "line 2, in f"]),
         ("import not_there_at_all\n", ["No module named 'not_there_at_all'", "line 1"]),
         ("import sys\nsys.exit(3)\n", ["SystemExit: 3", "line 2"]),
+        ("raise BaseException('panic')\n", ["BaseException: panic", "line 1"]),
         ("def f(:\n", ["SyntaxError", "nav.py"]),
         ("import poise\npoise.every(freq=1)\n", ["takes 'period', 'hz', 'deadline'"]),
     ],

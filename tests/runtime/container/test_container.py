@@ -1,5 +1,6 @@
 """What a container does when its agent stands still."""
 
+import asyncio
 import contextlib
 import os
 import socket
@@ -135,6 +136,27 @@ def test_what_takes_part_in_a_move_is_told_its_goal_once(tmp_path: Path) -> None
 
 class Idle(Component):
     """Does nothing."""
+
+
+class Cancelled(Component):
+    def __init__(self) -> None:
+        raise asyncio.CancelledError("no loop")
+
+
+def test_a_component_fails_with_whatever_its_class_raises(tmp_path: Path) -> None:
+    agent, ours = socket.socketpair()
+    with agent, ours:
+        container = Container("see", "a", tmp_path, ours, new_memory())
+        eye = ComponentSpec(
+            name="eye", goal="active", implementation=f"{__name__}:Cancelled"
+        )
+        spec = ContainerSpec(name="see", folder="", components=(eye,), connectors=())
+        container._apply(spec)
+        wait_until(container._settle)
+        (status,) = container._status().components
+        container._server.close()
+    assert status.state == "failed"
+    assert "CancelledError: no loop" in status.error
 
 
 @pytest.mark.parametrize("threads_left", [0, 1])

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from queue import SimpleQueue
-from typing import Annotated, Protocol
+from typing import Annotated, Any, Protocol
 
 import pytest
 from msgspec import Meta
@@ -17,7 +18,7 @@ from poise.runtime.hosting.outside_requests import OutsideRequests
 from poise.runtime.hosting.runner import Runner
 from poise.wire.codec import pack
 from poise.wire.records.deployment_records import ComponentSpec
-from poise.wire.records.request_records import PortAnswer, PortRequest
+from poise.wire.records.request_records import PARAMETERS, PortAnswer, PortRequest
 
 LIMIT = 20.0
 Seconds = Annotated[float, Meta(ge=0)]
@@ -30,6 +31,9 @@ class Burns(Protocol):
 class Burner(Component):
     burns: Provided[Burns]
 
+    def reconfigure(self, parameters: Mapping[str, Any]) -> None:
+        sys.exit(f"no {list(parameters)}")
+
     def burn(self, seconds: Seconds) -> None:
         end = time.thread_time() + seconds
         while time.thread_time() < end:
@@ -40,7 +44,7 @@ class Asked:
     """A component at work, of which something is asked."""
 
     def __init__(self) -> None:
-        spec = ComponentSpec(name="burner", goal="active")
+        spec = ComponentSpec(name="burner", goal="active", parameters={"gain": 0})
         self.key = spec.name, spec.epoch
         self.runner = Runner(spec, Burner, SystemClock(), lambda: None)
         self.runner.start()
@@ -50,13 +54,16 @@ class Asked:
         self._requests = OutsideRequests(lambda _: self.runner, self._answers.put)
 
     def burn(self, seconds: float) -> PortAnswer:
+        return self.ask("burns", "burn", [[seconds], {}])
+
+    def ask(self, port: str, method: str, value: object) -> PortAnswer:
         request = PortRequest(
             number=1,
             container="here",
             component="burner",
-            port="burns",
-            method="burn",
-            value=pack([[seconds], {}]),
+            port=port,
+            method=method,
+            value=pack(value),
             limit=LIMIT,
         )
         self._requests.take(request)
@@ -94,3 +101,9 @@ def test_an_argument_out_of_range_is_named_with_its_plain_type(asked: Asked) -> 
     answer = asked.burn(-1.0)
     assert answer.outcome == "refused"
     assert answer.reason.startswith("argument 1 of burn is not of type float: ")
+
+
+def test_parameters_are_refused_by_whatever_a_hook_raises(asked: Asked) -> None:
+    answer = asked.ask(PARAMETERS, "set", [[], {"gain": 1}])
+    assert (answer.outcome, answer.error_type) == ("raised", "SystemExit")
+    assert answer.reason == "no ['gain']"

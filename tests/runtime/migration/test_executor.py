@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from asyncio import CancelledError
 from collections.abc import Iterator
 from unittest.mock import Mock
 
@@ -148,7 +149,7 @@ def test_the_answer_says_which_steps_were_taken(executor: MigrationExecutor) -> 
     assert all(t.began <= t.ended for t in outcome.taken)
 
 
-@pytest.mark.parametrize("raised", [SystemExit, RunError])
+@pytest.mark.parametrize("raised", [SystemExit, CancelledError, RunError])
 def test_the_answer_says_what_a_hook_raised(
     executor: MigrationExecutor,
     raised: type[BaseException],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from asyncio import CancelledError
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -480,7 +481,7 @@ def test_restore_must_say_the_type_of_the_state(incarnations: Incarnations) -> N
         restore(new, given)
 
 
-@pytest.mark.parametrize("raised", [SystemExit, Unsaid])
+@pytest.mark.parametrize("raised", [SystemExit, CancelledError, Unsaid])
 def test_whoever_asks_hears_what_a_snapshot_raises(
     incarnations: Incarnations, raised: type[BaseException]
 ) -> None:

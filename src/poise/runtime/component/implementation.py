@@ -98,8 +98,10 @@ def load_module(name: str, folder: str) -> ModuleType:
                 "`repository`"
             ) from None
         raise RobotError(f"{failed}: {brief_traceback(error)}") from error
+    except KeyboardInterrupt:
+        raise
     # The module is the user's: whatever it raises is told with its traceback.
-    except (Exception, SystemExit) as error:
+    except BaseException as error:
         # what a module in C++ raises is the cause of an error of nanobind's
         is_wrapped = str(error).endswith("while initializing the extension.")
         raised = (error.__cause__ if is_wrapped else None) or error

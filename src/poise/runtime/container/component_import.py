@@ -68,7 +68,7 @@ def prepare(
             runner = Runner(spec, implementation_of(spec, folder), clock, on_change)
             runner.asked_at = asked_at
         # it is the user's: it may raise anything
-        except (Exception, SystemExit) as error:  # noqa: BLE001
+        except BaseException as error:  # noqa: BLE001
             prepared.set_exception(error)
         else:
             prepared.set_result(runner)

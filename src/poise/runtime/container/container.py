@@ -383,7 +383,7 @@ class Container:
             try:
                 self._start(spec, prepared.result())
             # it is the user's: it may have raised anything
-            except (Exception, SystemExit) as error:  # noqa: BLE001
+            except BaseException as error:  # noqa: BLE001
                 is_lack = threads.is_lack_of_threads(error)
                 why = traceback_of(error) or repr(error)
                 why = threads.NO_THREAD if is_lack else why

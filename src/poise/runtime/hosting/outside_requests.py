@@ -221,7 +221,7 @@ def _parameters(runner: Runner, request: PortRequest, until: float) -> dict[str,
         except PoiseError:
             raise
         # a user's hook may raise anything
-        except Exception as error:  # noqa: BLE001
+        except BaseException as error:  # noqa: BLE001
             raise_callee_error(error)
 
     _inside(runner, until, change)

@@ -154,7 +154,7 @@ class MigrationExecutor(StepTaker):
             self._act(step, migration, deadline)
         except PoiseError:
             raise
-        except (Exception, SystemExit) as error:  # a user's restore may raise anything
+        except BaseException as error:  # a user's restore may raise anything
             raise RunError(f"'{step.name}': {brief_traceback(error)}") from error
 
     def _act(self, step: Step, migration: int, deadline: float) -> None:

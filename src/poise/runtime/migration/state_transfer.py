@@ -162,7 +162,7 @@ class StateSender:
                 check_lease(self._runner.lease, self._runner.spec.name)
                 return frame.segments(TRANSFER, transfer, FrameKind.RESULT)
         # a user's snapshot may raise anything
-        except (Exception, SystemExit) as error:  # noqa: BLE001
+        except BaseException as error:  # noqa: BLE001
             return frame.failure(type(error).__qualname__, said(error))
 
     def _state(self) -> StateTransfer:
