@@ -52,8 +52,7 @@ _Port = Annotated[
     int, typer.Option(min=1, max=_LAST, help="TCP port, and UDP port for heartbeats.")
 ]
 _Folder = Annotated[
-    Path | None,
-    typer.Option(help="Its private folder, for sockets and files to keep."),
+    Path | None, typer.Option(help="Its private folder, for sockets and files to keep.")
 ]
 _Keys = Annotated[
     Path | None,

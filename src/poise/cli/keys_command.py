@@ -20,8 +20,7 @@ from poise.wire.credentials import Credentials, Role, folders, minute
 
 RobotName = Annotated[str, typer.Argument(help="The robot's name.", show_default=False)]
 Folder = Annotated[
-    Path | None,
-    typer.Option(help="The owner's key folder. Default: the usual one."),
+    Path | None, typer.Option(help="The owner's key folder. Default: the usual one.")
 ]
 Out = Annotated[
     Path,

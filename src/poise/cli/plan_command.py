@@ -45,8 +45,7 @@ def plan_command(
         ),
     ] = None,
     at_once: Annotated[
-        bool,
-        typer.Option("--at-once", help="All of the task at once."),
+        bool, typer.Option("--at-once", help="All of the task at once.")
     ] = False,
     method: Annotated[
         str,
@@ -64,12 +63,10 @@ def plan_command(
         int | None, typer.Option(help="Steps instead of time: reproducible.")
     ] = None,
     fewer: Annotated[
-        bool,
-        typer.Option("--fewer", help="Suspend what does not fit, by priority."),
+        bool, typer.Option("--fewer", help="Suspend what does not fit, by priority.")
     ] = False,
     share: Annotated[
-        bool,
-        typer.Option("--share", help="Share CPU where not everything fits."),
+        bool, typer.Option("--share", help="Share CPU where not everything fits.")
     ] = False,
     explain: Annotated[
         str | None,
@@ -87,8 +84,7 @@ def plan_command(
     without: Annotated[
         list[str] | None,
         typer.Option(
-            help="What if this computer were gone?",
-            autocompletion=in_file("computers"),
+            help="What if this computer were gone?", autocompletion=in_file("computers")
         ),
     ] = None,
     add: Annotated[
@@ -103,8 +99,7 @@ def plan_command(
         typer.Option("--smallest", help="The cheapest computers for tasks; else all."),
     ] = False,
     explore: Annotated[
-        bool,
-        typer.Option("--explore", help="Try alternatives by what they promise."),
+        bool, typer.Option("--explore", help="Try alternatives by what they promise.")
     ] = False,
     set_: Set = None,
     json: AsJson = False,

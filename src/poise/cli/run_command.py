@@ -62,8 +62,7 @@ def run_command(
         ),
     ] = None,
     adapt: Annotated[
-        bool,
-        typer.Option("--adapt", help="Change the placement as `poise up` does."),
+        bool, typer.Option("--adapt", help="Change the placement as `poise up` does.")
     ] = False,
     allow_errors: Annotated[
         bool,

@@ -91,8 +91,7 @@ def status_command(
         typer.Option(help="Robot file: ask its agents, if no manager runs here."),
     ] = None,
     everything: Annotated[
-        bool,
-        typer.Option("--all", help="Also connectors, clocks, and containers."),
+        bool, typer.Option("--all", help="Also connectors, clocks, and containers.")
     ] = False,
     as_json: AsJson = False,
 ) -> None:
@@ -124,8 +123,7 @@ def _check_one(file: Path | None, robot: str | None) -> None:
 
 def move_command(
     component: Annotated[
-        str,
-        typer.Argument(help="The component.", autocompletion=running("components")),
+        str, typer.Argument(help="The component.", autocompletion=running("components"))
     ],
     computer: Annotated[
         str,

@@ -338,8 +338,7 @@ def dashboard_command(
         int, typer.Option(min=0, max=65535, help="TCP port; 0: any that is free.")
     ] = _PORT,
     insecure: Annotated[
-        bool,
-        typer.Option("--insecure", help="Do not encrypt it for other computers."),
+        bool, typer.Option("--insecure", help="Do not encrypt it for other computers.")
     ] = False,
 ) -> None:
     """Show a running robot as a web page, until Ctrl-C.

@@ -85,9 +85,7 @@ Reference = Annotated[str, _text(r"\w+(\.\w+)*:\w+(\.\w+)*", _CLASS, _CLASS)]
 EndText = Annotated[
     str,
     _text(
-        rf"{NAME}(\.\w{{1,63}})?",
-        "component.port, or only component",
-        "localiser.scan",
+        rf"{NAME}(\.\w{{1,63}})?", "component.port, or only component", "localiser.scan"
     ),
 ]
 Cores = Annotated[float, _quantity(units.CORES)]

@@ -115,8 +115,7 @@ class Device(Struct, frozen=True, kw_only=True):
     name: str
     computer: Annotated[Name, says("The computer that it is plugged into.")]
     path: Annotated[
-        str,
-        says("A device node, or a socket of the simulator, for its components."),
+        str, says("A device node, or a socket of the simulator, for its components.")
     ] = ""
     exclusive: Annotated[
         bool, says("Whether only one action may use it at a time.")

@@ -172,11 +172,7 @@ def read_tree(path: Path, problems: list[FileProblem], given: Given) -> Node | N
 
 class _Reader:
     def __init__(
-        self,
-        problems: list[FileProblem],
-        reads: list[str],
-        given: Given,
-        outer: Given,
+        self, problems: list[FileProblem], reads: list[str], given: Given, outer: Given
     ) -> None:
         self.root: Node | None = None
         self._problems = problems

@@ -103,8 +103,7 @@ class ComponentValues(Struct, frozen=True, kw_only=True):
         Seconds, says("For how long a handler has run, or a due timer could not.")
     ] = 0.0
     long_job: Annotated[
-        Seconds,
-        says("For how long a job has computed, far longer than any before it."),
+        Seconds, says("For how long a job has computed, far longer than any before it.")
     ] = 0.0
     errors: Annotated[int, says("What its timers and handlers raised so far.")] = 0
     memory: Annotated[Bytes, says("Memory use of its container.")] = 0.0
@@ -150,8 +149,7 @@ class TimerValues(Struct, frozen=True, kw_only=True):
     deadline: Annotated[Seconds, says("How long after it was due it must end.")] = 0.0
     takes: Annotated[Seconds, says("How long its runs take, 99th percentile.")] = 0.0
     late: Annotated[
-        bool,
-        says("Whether it missed two deadlines and 20% of all, or every one."),
+        bool, says("Whether it missed two deadlines and 20% of all, or every one.")
     ] = False
 
 
@@ -237,8 +235,7 @@ class Policy(Struct, frozen=True, kw_only=True):
 
     name: str
     for_each: Annotated[
-        Subject | None,
-        says("The kind of thing that it is about.", key="for each"),
+        Subject | None, says("The kind of thing that it is about.", key="for each")
     ] = None
     when: Annotated[
         str | None,
@@ -262,8 +259,7 @@ class Policy(Struct, frozen=True, kw_only=True):
         says("For replace: the architecture; without it, the best alternative."),
     ] = None
     force: Annotated[
-        bool,
-        says("Whether a move breaks limits, and a replacement drops the state."),
+        bool, says("Whether a move breaks limits, and a replacement drops the state.")
     ] = False
     call: Annotated[
         Reference | None,

@@ -133,9 +133,7 @@ def wanted_by(robot: Robot) -> set[str]:
 
 
 def search(
-    folders: Iterable[str],
-    problems: list[FileProblem],
-    where: Iterable[Location],
+    folders: Iterable[str], problems: list[FileProblem], where: Iterable[Location]
 ) -> Repository:
     """Return the architectures in these folders, and in installed packages."""
     places = list(map(Place, folders, where))

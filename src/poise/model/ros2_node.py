@@ -48,8 +48,7 @@ class Ros2Node(Struct, frozen=True, kw_only=True):
         ),
     ] = ""
     package: Annotated[
-        str,
-        says("The ROS 2 package of the executable.", is_nullable=True),
+        str, says("The ROS 2 package of the executable.", is_nullable=True)
     ] = ""
     node: Annotated[
         Reference,
@@ -72,8 +71,7 @@ class Ros2Node(Struct, frozen=True, kw_only=True):
         says("Names of its code, and those to use instead."),
     ] = {}
     params: Annotated[
-        Mapping[str, Any],
-        says("Its ROS 2 parameters; {a: {b: 1}} is a.b."),
+        Mapping[str, Any], says("Its ROS 2 parameters; {a: {b: 1}} is a.b.")
     ] = {}
     params_files: Annotated[
         tuple[Annotated[str, note(min_length=1)], ...],

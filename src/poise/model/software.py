@@ -74,8 +74,7 @@ class ComponentEntry(Struct, frozen=True, kw_only=True):
 
     name: str
     implementation: Annotated[
-        Reference,
-        says("Its Python class: package.module:Class.", is_nullable=True),
+        Reference, says("Its Python class: package.module:Class.", is_nullable=True)
     ] = ""
     command: Annotated[
         tuple[str, ...],
@@ -359,8 +358,7 @@ class Ros2Network(Struct, frozen=True, kw_only=True):
     """How the robot's ROS 2 nodes find each other."""
 
     domain: Annotated[
-        int | None,
-        says("ROS_DOMAIN_ID. Default: that of `poise agent`.", ge=0, le=232),
+        int | None, says("ROS_DOMAIN_ID. Default: that of `poise agent`.", ge=0, le=232)
     ] = None
     discovery: Annotated[
         Discovery | None,
@@ -371,6 +369,5 @@ class Ros2Network(Struct, frozen=True, kw_only=True):
         ),
     ] = None
     bridges: Annotated[
-        tuple[Ros2Bridge, ...],
-        says("Ports of components that are joined with ROS 2."),
+        tuple[Ros2Bridge, ...], says("Ports of components that are joined with ROS 2.")
     ] = ()

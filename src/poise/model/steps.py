@@ -112,8 +112,7 @@ class Sequence(Struct, frozen=True, kw_only=True, tag="sequence", tag_field=KIND
     """Steps one after another."""
 
     steps: Annotated[
-        tuple[Step, ...],
-        says("Steps one after another.", key="sequence", min_length=1),
+        tuple[Step, ...], says("Steps one after another.", key="sequence", min_length=1)
     ]
 
 
@@ -240,8 +239,7 @@ class Prefetch(Struct, frozen=True, kw_only=True):
         says("Prepared components use at most this share of the memory left.", le=1),
     ] = 0.5
     cpu: Annotated[
-        Share,
-        says("Preparing uses at most this share of the CPU left.", gt=0, le=1),
+        Share, says("Preparing uses at most this share of the CPU left.", gt=0, le=1)
     ] = 0.5
     off: bool = False
 

@@ -43,8 +43,7 @@ class Smallest(NamedTuple):
 
 
 def smallest(
-    problems: Sequence[TaskProblem],
-    decide: Callable[[TaskProblem], TaskResult],
+    problems: Sequence[TaskProblem], decide: Callable[[TaskProblem], TaskResult]
 ) -> Smallest:
     """Return the cheapest set of computers on which each problem fits, one at a time.
 

@@ -188,11 +188,7 @@ def beside(problem: TaskProblem) -> dict[str, dict[str, float]]:
 
 
 def with_moves(
-    problems: TaskProblem,
-    phase: str,
-    placements: Placements,
-    *,
-    start: bool = False,
+    problems: TaskProblem, phase: str, placements: Placements, *, start: bool = False
 ) -> Problem:
     """Return the problem of a phase, with the costs of moves to those beside it."""
     this = next(candidate for candidate in problems.phases if candidate.name == phase)

@@ -177,9 +177,7 @@ class Result:
         known = [c for c in conflicts if c is not None]
         # of several ways out the cheapest, whichever alternative it is for
         self._conflict = min(
-            known,
-            key=lambda way: inf if way.price is None else way.price,
-            default=None,
+            known, key=lambda way: inf if way.price is None else way.price, default=None
         )
         is_all = bool(self.choice.others) or not self.choice.architectures
         if is_all and not self._complete and len(known) == len(conflicts):
@@ -287,8 +285,7 @@ class Result:
         names = [name for name in PlainResult.__annotations__ if name != "conflict"]
         values = {name: getattr(self, name) for name in names}
         return cast(
-            "PlainResult",
-            msgspec.to_builtins({**values, "conflict": self._conflict}),
+            "PlainResult", msgspec.to_builtins({**values, "conflict": self._conflict})
         )
 
 

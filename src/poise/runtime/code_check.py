@@ -386,10 +386,7 @@ def serve() -> None:
 
 
 def _check(
-    robot: Robot,
-    skipped: Iterable[str],
-    limit: float,
-    meanwhile: Callable[[], object],
+    robot: Robot, skipped: Iterable[str], limit: float, meanwhile: Callable[[], object]
 ) -> CheckedCode | _Death:
     reader, writer = os.pipe()
     with (

@@ -88,10 +88,7 @@ def new_recording(path: Path, robot: str) -> RecordingFile:
 
 @contextlib.contextmanager
 def keeping(
-    robot: Robot,
-    placed: Collection[str],
-    file: str | PathLike[str] | None,
-    say: Say,
+    robot: Robot, placed: Collection[str], file: str | PathLike[str] | None, say: Say
 ) -> Iterator[tuple[Robot, RecordingFile | None]]:
     """Give what is to run, and what records it in `file`; None: nothing does.
 

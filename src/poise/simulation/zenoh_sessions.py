@@ -360,10 +360,7 @@ class Side:
             other.send(_SMALL, lambda: self._end_asked(number))
 
         query = SimpleNamespace(
-            key_expr=key,
-            payload=_payload(payload),
-            reply=reply,
-            drop=drop,
+            key_expr=key, payload=_payload(payload), reply=reply, drop=drop
         )
 
         def hear() -> None:

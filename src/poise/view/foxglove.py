@@ -123,12 +123,7 @@ def base64_of(data: bytes | bytearray | memoryview) -> str:
 
 
 def _drawing(
-    kind: str,
-    part: str,
-    name: str,
-    at: float,
-    frame: str,
-    content: dict[str, Any],
+    kind: str, part: str, name: str, at: float, frame: str, content: dict[str, Any]
 ) -> FoxglovePart:
     common = {"timestamp": _timestamp(at), "frame_id": frame}
     return FoxglovePart(kind, part, name, common | content)

@@ -82,9 +82,7 @@ class Decision(Struct, frozen=True, kw_only=True):
 
 
 def decide(
-    situation: Situation,
-    horizon: float = HORIZON,
-    doubt: float = 1.0,
+    situation: Situation, horizon: float = HORIZON, doubt: float = 1.0
 ) -> Decision:
     """Return whether to change the placement, and why.
 
@@ -139,12 +137,7 @@ def decide(
         elif is_old and not proposal.steps:
             why = causes + nothing_helps(situation, gone)
     return Decision(
-        acts=acts,
-        why=why,
-        proposal=proposal,
-        gain=gain,
-        cost=cost,
-        undone=undone,
+        acts=acts, why=why, proposal=proposal, gain=gain, cost=cost, undone=undone
     )
 
 

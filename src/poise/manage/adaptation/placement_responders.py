@@ -160,10 +160,7 @@ def plan_failover(
 
 
 def _by_priority(
-    situation: Situation,
-    kept: Homes,
-    stranded: Homes,
-    missing: Mapping[str, str],
+    situation: Situation, kept: Homes, stranded: Homes, missing: Mapping[str, str]
 ) -> FailoverPlan:
     """Return what fits of the stranded, the highest priority first.
 

@@ -73,10 +73,7 @@ class Reachability:
     """
 
     def __init__(
-        self,
-        contacts: Contacts,
-        surely_ended: float,
-        votes: Mapping[str, int] = {},
+        self, contacts: Contacts, surely_ended: float, votes: Mapping[str, int] = {}
     ) -> None:
         self._contacts = contacts
         self._votes = votes

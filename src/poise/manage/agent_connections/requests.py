@@ -170,11 +170,7 @@ class AgentRequests:
                 yield key, _answer_of(reply)
 
     def _get(
-        self,
-        computer: str,
-        request: Request,
-        limit: float,
-        take: Callable[..., object],
+        self, computer: str, request: Request, limit: float, take: Callable[..., object]
     ) -> None:
         token = self._tokens.get(computer, 0)
         self._session.get(

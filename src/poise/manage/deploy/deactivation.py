@@ -151,9 +151,7 @@ def _is_processed(live: LiveRobot, targets: Collection[str]) -> bool:
 
 
 def unprocessed(
-    live: LiveRobot,
-    targets: Collection[str],
-    ended: Iterable[ConnectorStatus] = (),
+    live: LiveRobot, targets: Collection[str], ended: Iterable[ConnectorStatus] = ()
 ) -> dict[str, int]:
     """Return connector -> messages sent to `targets` that they have not processed.
 

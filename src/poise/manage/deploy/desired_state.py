@@ -63,7 +63,7 @@ class DesiredState:
                     component=name, computer=computer, epoch=self.next_epoch(name)
                 )
                 for name, computer in placement.items()
-            },
+            }
         )
         """What should run; any thread may read it, and only `commit` replaces it."""
         self.parts = ManagerParts(

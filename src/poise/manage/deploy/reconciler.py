@@ -57,10 +57,7 @@ class Reconciler:
     """Compares and tells; for the manager's thread."""
 
     def __init__(
-        self,
-        agents: Agents,
-        clock: Clock,
-        on_claimed: Callable[[str, Claimed], object],
+        self, agents: Agents, clock: Clock, on_claimed: Callable[[str, Claimed], object]
     ) -> None:
         self._agents = agents
         self._clock = clock

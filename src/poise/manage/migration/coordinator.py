@@ -374,9 +374,7 @@ def _left(deadline: float) -> float:
 
 
 def raise_on_cut_state(
-    live: LiveRobot,
-    sources: Iterable[Incarnation],
-    targets: Iterable[Incarnation],
+    live: LiveRobot, sources: Iterable[Incarnation], targets: Iterable[Incarnation]
 ) -> None:
     """Raise RunError when a state would have to cross a link that is cut."""
     cut = cut_links(live.agents.statuses())
@@ -398,9 +396,7 @@ class LossyConnector(Struct, frozen=True):
 
 
 def lossy_connectors(
-    live: LiveRobot,
-    sources: Iterable[Incarnation],
-    others: Mapping[str, Incarnation],
+    live: LiveRobot, sources: Iterable[Incarnation], others: Mapping[str, Incarnation]
 ) -> dict[str, LossyConnector]:
     """Return connectors of components that migrate which cannot be drained now."""
     moving = {incarnation.component: incarnation for incarnation in sources}

@@ -95,12 +95,7 @@ def check_target(
 
 
 def plan_replacement(
-    live: LiveRobot,
-    component: str,
-    by: str,
-    adapt: str = "",
-    *,
-    fresh: bool = False,
+    live: LiveRobot, component: str, by: str, adapt: str = "", *, fresh: bool = False
 ) -> PendingMigration:
     """Return the swap of an implementation for another, to be run.
 
@@ -293,12 +288,7 @@ def _swap(
 
 
 def plan_alternative(
-    live: LiveRobot,
-    architecture: str,
-    by: str,
-    adapt: str = "",
-    *,
-    fresh: bool = False,
+    live: LiveRobot, architecture: str, by: str, adapt: str = "", *, fresh: bool = False
 ) -> PendingMigration:
     """Return the replacement of an architecture by another, to be run.
 

@@ -166,9 +166,7 @@ class Prefetcher:
         )
 
     def update(
-        self,
-        likely: Collection[LikelyAction],
-        loads: Callable[[], Mapping[str, Load]],
+        self, likely: Collection[LikelyAction], loads: Callable[[], Mapping[str, Load]]
     ) -> None:
         """Note how preparations go, and prepare what is likely next."""
         self._note_failures()

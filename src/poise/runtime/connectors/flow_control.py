@@ -95,11 +95,7 @@ class CreditIssuer:
     """The target's side of one connector: counts what came, and gives credit."""
 
     def __init__(
-        self,
-        connector: str,
-        feed: Feed,
-        counts: Counts,
-        heard: Mapping[str, Number],
+        self, connector: str, feed: Feed, counts: Counts, heard: Mapping[str, Number]
     ) -> None:
         self._connector = connector
         self._heard = heard

@@ -197,11 +197,7 @@ def observed_call(
             took = time.monotonic() - began
 
             def summary() -> dict[str, object]:
-                return {
-                    name: [*args, *kwargs.values()],
-                    **outcome(),
-                    "seconds": took,
-                }
+                return {name: [*args, *kwargs.values()], **outcome(), "seconds": took}
 
             for observer in observers:
                 observer.note(summary)

@@ -83,11 +83,7 @@ class PortQueue:
     """The queue of one port, filled by any thread, emptied by the component's."""
 
     def __init__(
-        self,
-        port: str,
-        queue: Queue,
-        filled: FilledQueues,
-        counters: ComponentCounters,
+        self, port: str, queue: Queue, filled: FilledQueues, counters: ComponentCounters
     ) -> None:
         self.port = port
         self.queue = queue

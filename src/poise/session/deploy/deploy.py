@@ -258,8 +258,7 @@ def _agents(robot: Robot) -> Iterator[tuple[AgentReports, AgentRequests, Compute
     addresses = real_agents(robot)
     clock = SystemClock()
     session = open_session(
-        connect=tuple(addresses.endpoints.values()),
-        keys=addresses.credentials(),
+        connect=tuple(addresses.endpoints.values()), keys=addresses.credentials()
     )
     try:
         reports = AgentReports(robot.name, addresses.endpoints, clock)

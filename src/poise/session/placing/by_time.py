@@ -87,9 +87,7 @@ def decide_by_time(
 
 
 def _tried(
-    problem: plan.TaskProblem,
-    solvers: Sequence[Solve],
-    predict: Predict,
+    problem: plan.TaskProblem, solvers: Sequence[Solve], predict: Predict
 ) -> list[DecidedByTime]:
     """Return placements with what is predicted of them, until nothing is late."""
     found: list[DecidedByTime] = []
@@ -241,9 +239,7 @@ def _settle(result: plan.TaskResult, free: plan.TaskResult) -> None:
 
 
 def _as_predicted(
-    decided: DecidedByTime,
-    summed_problem: plan.TaskProblem,
-    predict: Predict,
+    decided: DecidedByTime, summed_problem: plan.TaskProblem, predict: Predict
 ) -> DecidedByTime:
     """Return a placement whose F has the times that are predicted of it.
 
@@ -277,9 +273,7 @@ def _without_prices(problem: plan.Problem) -> plan.Problem:
 
 
 def _with_limits(
-    problem: plan.Problem,
-    chains: Mapping[str, TimeLimit],
-    timers: Iterable[TimeLimit],
+    problem: plan.Problem, chains: Mapping[str, TimeLimit], timers: Iterable[TimeLimit]
 ) -> plan.Problem:
     """Return the problem with the runs and hops of its chains, and with its timers."""
     names = {each.name for each in problem.components}

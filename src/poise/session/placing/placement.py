@@ -138,9 +138,7 @@ def _read(path: Path) -> tuple[Mapping[object, object], frozenset[str]]:
 
 
 def _checked(
-    rule: str,
-    found: Mapping[object, object],
-    choices: Mapping[str, tuple[str, ...]],
+    rule: str, found: Mapping[object, object], choices: Mapping[str, tuple[str, ...]]
 ) -> dict[str, str]:
     """Return the placement in a file; UsageError with all that is wrong with it.
 

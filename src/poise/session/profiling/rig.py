@@ -277,9 +277,7 @@ def _simulator(robot: Robot) -> Simulator | None:
 
 
 def _held_by_devices(
-    rig: Robot,
-    placement: Mapping[str, str],
-    architectures: tuple[Architecture, ...],
+    rig: Robot, placement: Mapping[str, str], architectures: tuple[Architecture, ...]
 ) -> dict[str, str]:
     """Return the placement, with components of real devices at their devices."""
     if rig.is_emulated:

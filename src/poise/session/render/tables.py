@@ -103,9 +103,7 @@ def _slowest(chain: ChainReport) -> str:
     return max(steps)[1] if steps else ""
 
 
-def clock_tables(
-    clocks: Mapping[str, Mapping[str, ClockStatus]],
-) -> Iterator[Table]:
+def clock_tables(clocks: Mapping[str, Mapping[str, ClockStatus]]) -> Iterator[Table]:
     """Yield a row for each two computers: how far the second is ahead, +- error."""
     rows = table("clock of", "seen from", "ahead by", "quickest round trip", folds=1)
     for here, known in clocks.items():

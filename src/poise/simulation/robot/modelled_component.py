@@ -228,11 +228,7 @@ class MigrationModel(StepTaker):
                 self._carry_out_at_target(component, step, migration, deadline)
 
     def _carry_out_at_source(
-        self,
-        component: SimulatedComponent,
-        step: Step,
-        migration: int,
-        deadline: float,
+        self, component: SimulatedComponent, step: Step, migration: int, deadline: float
     ) -> None:
         container, key, executor = self._container, component.key, component.executor
         match step.name:
@@ -252,11 +248,7 @@ class MigrationModel(StepTaker):
                 component.resume()
 
     def _carry_out_at_target(
-        self,
-        component: SimulatedComponent,
-        step: Step,
-        migration: int,
-        deadline: float,
+        self, component: SimulatedComponent, step: Step, migration: int, deadline: float
     ) -> None:
         match step.name:
             case "pre-copy":

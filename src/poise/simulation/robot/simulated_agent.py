@@ -160,9 +160,7 @@ class SimulatedAgent:
             self.watchdog = SimulatedWatchdog(self)
             adoption = SimulatedAdoption(self._world, self)
             self.core = AgentCore(
-                setup,
-                self._surroundings(adoption, status.put, appear),
-                self._disk.left,
+                setup, self._surroundings(adoption, status.put, appear), self._disk.left
             )
             inbox = AgentInbox(name, self._on_request, self.wake, self.core.supervised)
             session.declare_queryable(f"{prefix}/agent/{name}", inbox.hear)

@@ -181,10 +181,7 @@ class Channel:
                 raise Unavailable(f"{self._connector}: {self._address} went away")
 
     def push(
-        self,
-        pieces: Pieces,
-        limit: float,
-        on_sent: Callable[[], object] = lambda: None,
+        self, pieces: Pieces, limit: float, on_sent: Callable[[], object] = lambda: None
     ) -> None:
         """Send a message in order, within `limit` [s]; then call `on_sent`."""
         deadline = time.monotonic() + limit

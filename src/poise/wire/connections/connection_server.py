@@ -97,12 +97,7 @@ class ConnectionServer:
         self._neighbours.listen(64)
         threads.daemon(self._main, "accept").start()
 
-    def open(
-        self,
-        connector: str,
-        handler: Handler,
-        refused: Refused = ignore,
-    ) -> None:
+    def open(self, connector: str, handler: Handler, refused: Refused = ignore) -> None:
         """Receive the frames of `connector` from now on."""
         self._refused[connector] = refused
         self._handlers[connector] = handler
