@@ -14,6 +14,7 @@ import zenoh
 
 from poise.endpoint import Endpoint
 from poise.errors import RunError
+from poise.session.keys import init_keys
 from poise.wire.control_session import locator, open_session
 from tests.runtime.conftest import free_port
 from tests.waiting import wait_until
@@ -46,6 +47,20 @@ def test_a_session_without_threads_names_the_limit(
 
 def test_the_last_part_of_an_ipv6_address_is_no_port() -> None:
     assert locator(Endpoint.parse("fd00::2")) == "tcp/[fd00::2]:7447"
+
+
+@pytest.mark.slow
+def test_keys_open_sessions_at_ipv6_addresses(tmp_path: Path) -> None:
+    """Robots with such addresses started without keys, and never with any."""
+    owner = init_keys("hello", tmp_path / "owner")
+    agent = owner.issue("left", "agent", tmp_path / "left")
+    manager = owner.issue("ann", "manager", tmp_path / "ann")
+    where = locator(Endpoint("::1", free_port()), agent)
+    with (
+        open_session(listen=[where], keys=agent),
+        open_session(connect=[where], keys=manager) as session,
+    ):
+        wait_until(session.info.peers_zid)
 
 
 @pytest.mark.slow

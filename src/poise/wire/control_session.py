@@ -66,6 +66,8 @@ def open_session(
     }
     if keys is not None:
         settings |= keys.zenoh()
+        # zenoh takes what is before the port for a name in TLS: none has brackets
+        settings["connect/endpoints"] = [re.sub(r"[][]", "", each) for each in connect]
         # refused handshakes are said on stderr
         zenoh.init_log_from_env_or("zenoh_link_tls::unicast=warn")
         if serves:
