@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import threading
 import time
@@ -16,6 +17,7 @@ from msgspec.structs import replace
 from poise import Component, Message, Published, every, subscribed
 from poise.clock import SystemClock
 from poise.errors import RunError, Timeout
+from poise.runtime._calls import PageSampler
 from poise.runtime.execution.counters import Counts, StatsPage, new_memory
 from poise.runtime.execution.exclusion import Redirected, new_chain
 from poise.runtime.hosting import runner as runner_module
@@ -322,6 +324,29 @@ def test_a_timer_that_fails_goes_on_ticking(running: Fixture) -> None:
         component.told.wait_for(lambda: component.record.count("tick") > 3, LIMIT)
     assert runner.status().errors >= 3
     assert runner.status().timers[0].releases >= 3
+
+
+def test_what_nothing_asked_for_is_no_job(running: Fixture) -> None:
+    """The CPU time of one job is what all took, divided by what was asked for."""
+
+    class Acting(Recorder):
+        def begin(self, action: str) -> None:
+            self._do(action)
+
+    runner = running.start(Acting)
+    memory = new_memory()
+    StatsPage(memory).show({("one", 0): runner}, [])
+    component = reach(runner, "active")
+    runner.note_spec(replace(runner.spec, actions={1: "drive"}))
+    receive(runner, "first")
+    component.wait_for("drive")
+    receive(runner, "second")
+    component.wait_for("second")
+    reach(runner, "inactive")
+    read = PageSampler(memory, os.getpid()).read()
+    assert read is not None
+    [(*_, asked, done)] = read[2]
+    assert (asked, done) == (2, 2)
 
 
 def test_its_cpu_time_is_known_after_its_end(running: Fixture) -> None:

@@ -396,9 +396,14 @@ class Runner:
                 self.exclusion.enter(new_chain(), _PATIENCE)
             except (Timeout, Redirected):
                 break
-            what, method = self._turns.popleft()
-            self._run(method, what)
+            self._run_turn()
         return not self.is_fenced
+
+    def _run_turn(self) -> None:
+        what, method = self._turns.popleft()
+        self._run(method, what)
+        if what == ANSWER:  # what else nothing asked for is no job
+            self.counters.note_done()
 
     def _weigh(self) -> None:
         state = self.component.snapshot()
@@ -436,8 +441,7 @@ class Runner:
             self._run(self._apply_parameters, "reconfigure", changes)
         self._begin_actions(spec.actions)
         while self._turns and self._enter():
-            what, method = self._turns.popleft()
-            self._run(method, what)
+            self._run_turn()
         for releases in self.timers:
             if releases.due <= self.clock.now():
                 self._run_timer(releases)
@@ -483,7 +487,7 @@ class Runner:
 
     def _later(self, turn: Callable[[], object]) -> None:
         """Run something on its thread, as soon as nothing else of it runs."""
-        self.counters.note_asked()  # else a run is counted that nothing asked for
+        self.counters.note_asked()
         self._turns.append((ANSWER, turn))
         self.endpoints.mailbox.wake()
 
@@ -512,6 +516,7 @@ class Runner:
         release = releases.begin(began)
         name = releases.timer.name
         self._run(getattr(self.component, name), name, is_timer=True)
+        self.counters.note_done()
         releases.end(release, began, self.clock.now())
 
     def _deliver(self, inbox: PortQueue) -> None:
@@ -530,6 +535,7 @@ class Runner:
         else:
             method = getattr(self.component, methods(port.type)[tag].name)
             self._run(method, port.name, *value, taken=taken)
+        self.counters.note_done()
 
     def _enter(self) -> bool:
         """Begin a chain and wait to enter; False when the goal has changed."""
@@ -576,6 +582,5 @@ class Runner:
                 self._times.end(what, began)
         finally:
             self._handler = None
-            self.counters.note_done()
             self.exclusion.leave()
             self.gate.note_done()
