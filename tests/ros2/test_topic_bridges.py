@@ -64,8 +64,8 @@ def test_publishers_of_another_type_are_told_of_once() -> None:
     bridge.node = SimpleNamespace(get_publishers_info_by_topic=topics.__getitem__)
     what = "node 'talker' publishes std_msgs/msg/Int32 on '/said', where the bridge "
     with pytest.raises(RobotError, match=f"{what}takes std_msgs/msg/String"):
-        bridge.look_at_others()
-    bridge.look_at_others()
+        bridge._look_at_others()
+    bridge._look_at_others()
 
 
 @pytest.mark.slow
@@ -98,5 +98,5 @@ def test_subscribers_that_get_nothing_are_told_of_once(
     bridge.node = SimpleNamespace(get_subscriptions_info_by_topic=lambda _: [other])
     if why:
         with pytest.raises(RobotError, match=f"^node 'ear' {why}"):
-            bridge.look_at_others()
-    bridge.look_at_others()
+            bridge.look_at_subscribers()
+    bridge.look_at_subscribers()

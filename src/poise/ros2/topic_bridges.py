@@ -25,12 +25,8 @@ _LOOK_EVERY = 2.0
 _ERROR = "ERROR: "
 
 
-class ToTopics(BridgeNode):
-    """Subscribes to the port, and publishes in ROS 2.
-
-    It has no state, so it gets the last message of a port again where it moves to, and
-    its new publishers have one for late subscribers.
-    """
+class Topics(BridgeNode):
+    """What both ways of topics share."""
 
     @classmethod
     def conversions(cls, clock: ComponentClock) -> list[Conversion]:
@@ -42,6 +38,26 @@ class ToTopics(BridgeNode):
         """Make a node of its own."""
         self._misfits: set[str] = set()
         super().configure()
+
+    def _look_at_others(self) -> None:
+        """Raise once for each node that does not fit: nothing else says it."""
+        for entry in self.entries:
+            for text in self._misfitting(entry):
+                if text not in self._misfits:
+                    self._misfits.add(text)
+                    raise RobotError(text)
+
+    def _misfitting(self, entry: BridgeLine) -> Iterator[str]:
+        """Yield which nodes at the other end of a topic do not fit, and why."""
+        raise NotImplementedError
+
+
+class ToTopics(Topics):
+    """Subscribes to the port, and publishes in ROS 2.
+
+    It has no state, so it gets the last message of a port again where it moves to, and
+    its new publishers have one for late subscribers.
+    """
 
     def open(self) -> None:
         """Make the publishers."""
@@ -55,13 +71,9 @@ class ToTopics(BridgeNode):
         """Do not wait for ROS 2, from where nothing comes."""
 
     @every(_LOOK_EVERY)
-    def look_at_others(self) -> None:
-        """Raise once for each node that does not fit: nothing else says it."""
-        for entry in self.entries:
-            for text in self._misfitting(entry):
-                if text not in self._misfits:
-                    self._misfits.add(text)
-                    raise RobotError(text)
+    def look_at_subscribers(self) -> None:
+        """Raise once for each that does not fit."""
+        self._look_at_others()
 
     def _misfitting(self, entry: BridgeLine) -> Iterator[str]:
         """Yield what subscribers take that this does not give."""
@@ -97,7 +109,7 @@ class Came(Struct, frozen=True):
     stamps: Mapping[str, int]
 
 
-class FromTopics(ToTopics):
+class FromTopics(Topics):
     """Subscribes in ROS 2, and publishes to the port."""
 
     def configure(self) -> None:
@@ -117,14 +129,11 @@ class FromTopics(ToTopics):
         """Make the subscriptions."""
         for entry, pair in zip(self.entries, self.conversions(self.clock), strict=True):
             self._subscribe(entry, pair.from_ros, {})
+        self.node.create_timer(_LOOK_EVERY, self._look_at_others)
 
     def activate(self) -> None:
         """Begin to hear ROS 2, with what came since its predecessor heard the last."""
         self.listen()
-
-    def listen(self) -> None:
-        """Let callbacks run on the component's thread."""
-        BridgeNode.listen(self)
 
     def _subscribe(
         self, entry: BridgeLine, from_ros: Convert, less: dict[str, str]
