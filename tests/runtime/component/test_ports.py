@@ -216,10 +216,13 @@ def test_a_parameter_needs_a_type_and_a_place() -> None:
     class Loose(Protocol):
         def call(self, *numbers: int) -> None: ...
 
+    class Named(Protocol):
+        def call(self, *, number: int) -> None: ...
+
     class Untyped(Protocol):
         def call(self, number) -> Any: ...  # type: ignore[no-untyped-def]  # noqa: ANN001
 
-    for interface in (Loose, Untyped):
+    for interface in (Loose, Named, Untyped):
         with pytest.raises(UsageError, match="needs a type and a place of its own"):
             methods(interface)
 

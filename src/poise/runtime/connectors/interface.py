@@ -70,11 +70,13 @@ def _method(interface: type, name: str) -> Method:
     for parameter in own:
         if parameter.name not in hints or parameter.kind in {
             parameter.VAR_POSITIONAL,
+            parameter.KEYWORD_ONLY,
             parameter.VAR_KEYWORD,
         }:
             raise UsageError(
                 f"{interface.__qualname__}.{name}: parameter '{parameter.name}' needs "
-                "a type and a place of its own, or it cannot cross a connector"
+                "a type and a place of its own, not after `*`: it could not cross a "
+                "connector"
             )
     types = tuple(hints[parameter.name] for parameter in own)
     result = hints.get("return", type(None))
