@@ -65,7 +65,8 @@ class ExecutorSource:
 
 def _why_ended(error: Exception) -> str:
     if type(error).__name__ == "InvalidHandle":
-        return "its ROS 2 node was destroyed (`destroy_node`): no callback runs"
+        what = "(`destroy_node` or `rclpy.shutdown`)"
+        return f"its ROS 2 node was destroyed {what}: no callback runs"
     return f"its ROS 2 executor ended: {error!r}"
 
 
