@@ -62,7 +62,7 @@ def test_several_tasks_start_together(waiter: Robot) -> None:
     third = Task(name="go", actions=(Action(name="go", functions=("driving",)),))
     all_ = replace(both, tasks=(*both.tasks, third))
     first = first_phase(all_, ["serve", "talk", "go"], None, lambda _: None)
-    assert len(first.suspended()) == 1
+    assert len(first.placed.result.suspended) == 1
 
 
 def test_a_rule_places_each_phase_and_a_file_none(waiter: Robot) -> None:

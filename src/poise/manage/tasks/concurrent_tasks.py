@@ -205,16 +205,6 @@ class Tasks:
                     )
             self._settle(record, now)
 
-    def due(self, now: float) -> float | None:
-        """Return in how long the next limit is over [s]; None: there is none."""
-        left = [
-            attempt.action.limit - self.worked(attempt, now)
-            for record in self.going()
-            for attempt in self.tries(record)
-            if attempt.action.limit is not None and attempt.progress.since is not None
-        ]
-        return min(left, default=None)
-
     def worked(self, attempt: Attempt, now: float) -> float:
         """Return for how long an action's functions have worked [s]."""
         since = attempt.progress.since

@@ -120,10 +120,6 @@ class HealthRecords:
         elif known is not None:
             self.enter(container, "stopped")
 
-    def of(self, container: str) -> ContainerHealth | None:
-        """Return what is known of a container."""
-        return self._of.get(container)
-
     def faults(self) -> tuple[Fault, ...]:
         """Return the latest faults, oldest first."""
         return tuple(self._faults)

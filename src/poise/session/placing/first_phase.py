@@ -28,12 +28,6 @@ class FirstPhase(Struct, frozen=True):
     tasks: Tasks
     placed: Placement
 
-    def suspended(self) -> frozenset[str]:
-        """Return the functions that do not run, because not all fits."""
-        suspended = self.placed.result.suspended
-        bundles = self.placed.problem.architectures
-        return frozenset(b.function for b in bundles if b.name in suspended)
-
 
 def first_phase(
     robot: Robot, tasks: Sequence[str], placement: Placement | None, say: Say

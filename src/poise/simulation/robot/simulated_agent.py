@@ -411,12 +411,6 @@ class SimulatedDisk:
         """Return what is wrong with it."""
         return "no space left on device" if self.is_full else ""
 
-    def save(self, component: str, epoch: int, data: bytes) -> None:
-        """Keep a checkpoint that a container took."""
-        if not self.is_full:
-            self._checkpoints[component, epoch] = self._computer.boottime(), data
-            self._send_soon()
-
     def _keep(self, state: AgentState) -> None:
         if self.is_full:  # better nothing than what holds no more; it is tried again
             state = self._kept = AgentState()
