@@ -14,7 +14,7 @@ from poise.runtime.supervision.health import Silence
 from poise.wire.codec import WireError
 from poise.wire.records.deployment_records import ContainerSpec
 from poise.wire.records.heartbeat_records import Clocks
-from poise.wire.records.migration_records import StepsFailed
+from poise.wire.records.migration_records import MigrationSteps, StepsFailed
 from poise.wire.records.request_records import MOST_PACKED, PortAnswer, PortRequest
 from poise.wire.records.status_records import (
     ComponentStatus,
@@ -315,10 +315,8 @@ class PendingRequests:
             elif process.is_stuck():
                 reason = _why_silent(process)
             elif now >= pending.limit:
-                reason = (
-                    f"container '{container}' took over {pending.request.limit:.3g} s"
-                )
-                reason = _why_silent(process) if process.silence else reason
+                late = _why_late(pending.request)
+                reason = _why_silent(process) if process.silence else late
             else:
                 continue
             self.end(StepsFailed(pending.request.number, reason))
@@ -327,6 +325,14 @@ class PendingRequests:
         """Return when the next request is given up [s]."""
         limits = (pending.limit for pending in self._pending.values())
         return min(limits, default=float("inf"))
+
+
+def _why_late(request: ContainerRequest) -> str:
+    late = f"container '{request.container}' took over {request.limit:.3g} s"
+    if not isinstance(request, MigrationSteps) or not request.steps:
+        return late
+    steps = dict.fromkeys(f"'{step.name}'" for step in request.steps)
+    return f"{late} for {', '.join(steps)}"
 
 
 def _why_silent(process: ContainerProcess) -> str:
