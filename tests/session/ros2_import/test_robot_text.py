@@ -128,6 +128,13 @@ def test_a_process_becomes_a_component_with_what_it_needs(file: Path) -> None:
     assert pilot.command == ()
 
 
+def test_says_where_programs_of_packages_were_started_before() -> None:
+    moved = replace(GRAPH.processes[0], folder="/home/me")
+    text = written(replace(GRAPH, processes=(moved, *GRAPH.processes[1:])))
+    assert "# Programs of packages that were started in /home/me\n" in text
+    assert "started in" not in written(replace(GRAPH, processes=GRAPH.processes[1:]))
+
+
 def test_a_driver_stays_with_its_device(file: Path) -> None:
     robot = load(file)
     assert robot.component("lidar").devices == ("ttyUSB0",)

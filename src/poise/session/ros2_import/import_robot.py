@@ -186,7 +186,7 @@ class RobotText:
         here: WhereImported,
     ) -> None:
         self._graph, self._robot = graph, robot
-        self._computers = computers
+        self._computers, self._here = computers, here
         self._names = _unique_names(graph.processes)
         self._component = {
             node: self._names[process.pid]
@@ -212,8 +212,19 @@ class RobotText:
         yield "# and the least important are suspended first when not all fit."
         for node, why in sorted(graph.elsewhere.items()):
             yield f"# {node} is missing: {why}."
+        if folders := sorted(set(self._folders_left())):
+            yield f"# Programs of packages that were started in {', '.join(folders)}"
+            yield "# start in the folder of this file: write whole paths where they named"
+            yield "# files relative to that."
         for remark in graph.remarks:
             yield f"# {remark}."
+
+    def _folders_left(self) -> Iterator[str]:
+        """Yield the folders of programs that are found by their package instead."""
+        for process in self._graph.processes:
+            is_package = "package" in self._starts[process.pid].keys.get("ros2", {})
+            if is_package and Path(process.folder) != Path(self._here.folder):
+                yield process.folder
 
     def _body(self) -> Iterator[str]:
         yield f"robot: {self._robot}"
