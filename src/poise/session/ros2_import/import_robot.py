@@ -214,8 +214,8 @@ class RobotText:
             yield f"# {node} is missing: {why}."
         if folders := sorted(set(self._folders_left())):
             yield f"# Programs of packages that were started in {', '.join(folders)}"
-            yield "# start in this file's folder: write whole paths where they named files"
-            yield "# relative to that."
+            yield "# start in the folder of this file, and find no files there whose"
+            yield "# paths are relative."
         for remark in graph.remarks:
             yield f"# {remark}."
 
