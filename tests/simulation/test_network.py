@@ -14,12 +14,12 @@ from poise.simulation.scheduler import Scheduler
 
 def network_of(scheduler: Scheduler, **model: float) -> Network:
     scheduler.at(1e6, lambda: None)
-    return Network(scheduler, scheduler.choices, LinkModel(**model))
+    return Network(scheduler, model=LinkModel(**model))
 
 
 def test_a_stream_keeps_its_order_whatever_the_jitter(scheduler: Scheduler) -> None:
     network = network_of(scheduler, jitter=0.5)
-    stream, arrived = network.stream("a", "b"), list[int]()
+    stream, arrived = network.engine.stream("a", "b"), list[int]()
     for number in range(50):
         stream.send(10, partial(arrived.append, number))
     scheduler.run(100.0)
@@ -48,7 +48,7 @@ def test_what_is_sent_over_a_cut_arrives_in_order_once_it_is_healed(
     scheduler: Scheduler,
 ) -> None:
     network = network_of(scheduler)
-    stream, arrived = network.stream("a", "b"), list[tuple[int, float]]()
+    stream, arrived = network.engine.stream("a", "b"), list[tuple[int, float]]()
 
     def note(number: int) -> None:
         arrived.append((number, scheduler.now))
@@ -83,7 +83,7 @@ def test_a_link_that_was_cut_twice_is_cut_until_both_are_healed(
 
 def test_a_clog_delays_what_is_sent_meanwhile(scheduler: Scheduler) -> None:
     network = network_of(scheduler)
-    network.clog("a", "b", 2.0)
+    network.engine.clog("a", "b", 2.0)
     assert [*network.arrivals("a", "b", 10)] == [pytest.approx(2.0, abs=0.01)]
 
 
@@ -92,6 +92,6 @@ def test_a_large_message_takes_its_size_over_the_bandwidth(
 ) -> None:
     network = network_of(scheduler, bandwidth=1e6, jitter=0.0, latency=0.001)
     arrived: list[float] = []
-    network.stream("a", "b").send(500_000, lambda: arrived.append(scheduler.now))
+    network.engine.stream("a", "b").send(500_000, lambda: arrived.append(scheduler.now))
     scheduler.run(5.0)
     assert arrived == [pytest.approx(0.501)]  # 1 ms and 0.5 MB at 1 MB/s

@@ -28,7 +28,7 @@ Run = Callable[[Callable[[], Any]], Any]
 @pytest.fixture
 def run(scheduler: Scheduler) -> Run:
     """Return what runs a function in a simulated process, and returns its result."""
-    network, addresses = Network(scheduler, scheduler.choices), Addresses()
+    network, addresses = Network(scheduler), Addresses()
     addresses.add("a")
     process = SimulatedComputer(scheduler, "a", boot=50.0).start("program")
 
@@ -60,7 +60,7 @@ def test_code_outside_of_the_simulation_reads_the_real_clock(
     computer, read = SimulatedComputer(scheduler, "a", boot=50.0), list[float]()
     process = computer.start("program")
     process.spawn("test", lambda: read.append(time.monotonic()))
-    sessions = ZenohNetwork(Network(scheduler, scheduler.choices), Addresses())
+    sessions = ZenohNetwork(Network(scheduler), Addresses())
     before = time.monotonic()
     with SimulatedLibrary(scheduler, sessions):
         scheduler.run(1.0)
@@ -137,7 +137,7 @@ def test_chance_is_drawn_from_the_seed() -> None:
     def drawn() -> tuple[float, str]:
         found: list[tuple[float, str]] = []
         scheduler = Scheduler(Choices(5))
-        sessions = ZenohNetwork(Network(scheduler, scheduler.choices), Addresses())
+        sessions = ZenohNetwork(Network(scheduler), Addresses())
         scheduler.at(9.0, lambda: None)
         process = SimulatedComputer(scheduler, "a").start("program")
         process.spawn("test", lambda: found.append((random.random(), uuid.uuid4().hex)))

@@ -22,7 +22,7 @@ class Two:
 
     def __init__(self, scheduler: Scheduler) -> None:
         self.scheduler = scheduler
-        self.network = Network(scheduler, scheduler.choices)
+        self.network = Network(scheduler)
         addresses = Addresses()
         host = [addresses.add(name) for name in "ab"][1]
         self.sessions = ZenohNetwork(self.network, addresses)

@@ -151,7 +151,7 @@ def _begin(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
         case "suspend computer":
             robot.computers[fault.target].suspend(fault.lasts)
         case "clog link":
-            network.clog(fault.target, fault.other, fault.lasts)
+            network.engine.clog(fault.target, fault.other, fault.lasts)
         case "step wall clock":
             step = (fault.pick - 0.5) * _LONGEST_STEP
             robot.computers[fault.target].wall_ahead += step

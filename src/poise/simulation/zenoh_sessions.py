@@ -317,7 +317,7 @@ class Side:
         """Say which tokens there are, and go on to say that it is there."""
         self.other = other
         here, there = (s.session.process.computer.name for s in (self, other))
-        self.stream = self.connection.network.stream(here, there)
+        self.stream = self.connection.network.engine.stream(here, there)
         self.session.sides.append(self)
         for token in self.session.tokens:
             self.tell_token(token, zenoh.SampleKind.PUT)

@@ -278,7 +278,9 @@ class MigrationModel(StepTaker):
         there = source.process.computer.name
         states = source.migration.states
         seconds = drawn(world.choices, (0.0, 0.005))
-        seconds += world.network.time_for(there, here, component.model.state_size)
+        seconds += world.network.engine.time_for(
+            there, here, component.model.state_size
+        )
 
         def is_there() -> bool:
             if world.network.is_cut(there, here) or source.process.is_paused:

@@ -199,7 +199,7 @@ class SimulatedRobot:
         robot = self.robot = managed.robot
         self.choices = choices
         self.scheduler = Scheduler(choices)
-        self.network = Network(self.scheduler, choices, links=links_of(robot))
+        self.network = Network(self.scheduler, links_of(robot))
         self.ledger = self.scheduler.engine.ledger
         self.addresses = Addresses()
         self.sessions = ZenohNetwork(self.network, self.addresses)
