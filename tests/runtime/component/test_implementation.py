@@ -78,6 +78,14 @@ def test_a_class_that_is_no_component_is_refused(package: Path) -> None:
     assert "must inherit from poise.Component" in error_of(module, "Nav", package)
 
 
+@pytest.mark.parametrize("module", ["queue", "json.nav"])
+def test_a_module_with_the_name_of_one_of_pythons_is_told(
+    package: Path, module: str
+) -> None:
+    told = error_of(module, "Nav", package)
+    assert f"'{module.partition('.')[0]}' is a module of Python's" in told
+
+
 def test_what_is_no_class_is_refused(package: Path) -> None:
     module = write(package, "def nav(): pass\n")
     assert "is of type function, not a class" in error_of(module, "nav", package)

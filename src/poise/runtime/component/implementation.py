@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import re
 import sys
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from types import ModuleType, UnionType
@@ -95,7 +96,7 @@ def load_module(name: str, folder: str) -> ModuleType:
             raise RobotError(
                 f"there is no module '{error.name}': it is looked for in {folder!r} "
                 "first, then among the installed packages, then in the folders of "
-                "`repository`"
+                f"`repository`{_if_of_python(name)}"
             ) from None
         raise RobotError(f"{failed}: {brief_traceback(error)}") from error
     except KeyboardInterrupt:
@@ -135,7 +136,16 @@ def _no_attribute(
         f"'{reference}': {holder.__name__} has no {kind} '{name}'"
         f"{did_you_mean(name, others)}; "
         f"{'classes' if is_class else 'functions'}: {listed(others)}"
+        f"{_if_of_python(reference)}"
     )
+
+
+def _if_of_python(reference: str) -> str:
+    """Return what to do about a module that has a name of Python's own, in words."""
+    name = re.split("[.:]", reference)[0]
+    if name not in sys.stdlib_module_names:
+        return ""
+    return f"; '{name}' is a module of Python's: if you have one, give it another name"
 
 
 Seen = tuple[type, ...]
