@@ -373,7 +373,7 @@ def test_what_is_being_changed_is_told_with_what_that_waits_for(
     managed.agents.states["thinker"] = CONFIGURING
     run.commit(run.desired.aiming("stay", {"grabber"}).with_coming([new]), "a change")
     [sentence] = managed.manager.status().under_way
-    names = "being started, moved or replaced: 'grabber', 'thinker'"
+    names = "being started, moved, replaced or stopped: 'grabber', 'thinker'"
     waits = "component 'thinker' on 'left' is unconfigured, not yet inactive"
     assert sentence.startswith(f"{names}; {waits}")
     run.commit(run.desired.aiming("active", {"grabber"}).with_coming([]), "it is over")

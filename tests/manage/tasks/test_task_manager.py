@@ -19,7 +19,7 @@ from poise.estimate.success_rates import beliefs_about
 from poise.manage.adaptation.situation import Situation
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.deploy.desired import Desired
-from poise.manage.deploy.live_robot import LiveRobot
+from poise.manage.deploy.live_robot import ACTIVE_LIMIT, LiveRobot
 from poise.manage.journal import Journal
 from poise.manage.migration.move import plan_move
 from poise.manage.observe.estimates import Load
@@ -99,6 +99,7 @@ class Speaking(FakeAgents):
         self.requests: dict[str, tuple[TaskRequest, ...]] = {}
         self.crashing = ""
         self.crashes = 0
+        self.lost_amid_activation = ""
         self.lag = 0  # how many deployments their last reports are behind
 
     def say(self, component: str, *, done: bool = True) -> None:
@@ -106,7 +107,20 @@ class Speaking(FakeAgents):
         count = before.count + 1 if before else 1
         self.ends[component] = ActionEnd(port="done", count=count, done=done)
 
+    def configure(self, component: str) -> None:
+        """Let one that stayed behind do what it was told."""
+        del self.states[component]
+        for status in self.statuses().values():
+            for container in status.containers:
+                for each in container.components:
+                    if each.name == component:
+                        done = replace(each, state="inactive")
+                        self.report_component(status.computer, done)
+
     def wait_news(self, is_enough: Callable[[], bool], limit: float) -> bool:
+        if limit == ACTIVE_LIMIT and self.lost_amid_activation:
+            is_enough()
+            self.gone.add(self.lost_amid_activation)
         self.lag = 0
         return any(super(Speaking, self).wait_news(is_enough, limit) for _ in range(5))
 
@@ -408,6 +422,84 @@ def test_an_action_whose_component_does_not_start_again_fails_and_no_other() -> 
     assert any("has failed: it cannot go on: comp" in each for each in rig.said())
     rig.manager.advance()  # the next look
     assert rig.active() == {"goer", "sayer"}
+
+
+def test_what_takes_long_to_be_configured_holds_nothing_else_up(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    steps = act("a", "see"), act("b", "say")
+    rig = Rig(robot_with(task("t", *steps), task("u", act("c", "go")), cpu=2.0), "t")
+    slow = ComponentStatus(name="goer", state="unconfigured")
+    rig.agents.states["goer"] = slow
+    rig.manager.command("start", "u")
+    rig.end("seeer")
+    assert rig.active() == {"sayer"}
+    assert not rig.manager.has_news()
+    now = rig.manager.now()
+    assert replace(rig.robot, tasks=(now,)).functions_of(now.name) == ("say",)
+    (begun,) = rig.run.desired.configured_ahead
+    rig.agents.configure("goer")
+    assert rig.manager.has_news()
+    rig.manager.advance()
+    assert rig.active() == {"sayer", "goer"}
+    assert rig.run.placed["goer"].key == begun.key
+
+    rig.end("goer")
+    rig.agents.states["goer"] = slow
+    rig.run.commit(rig.run.desired.without(["goer"]), "it was idle for long")
+    rig.manager.command("start", "u")
+    rig.manager.command("pause", "u")
+    assert not rig.run.desired.configured_ahead
+    rig.manager.command("resume", "u")
+    monkeypatch.setattr("poise.manage.tasks.switch.READY_LIMIT", -1.0)
+    rig.manager.advance()
+    state, why = rig.states()["u"]
+    assert state == "failed"
+    assert "it cannot begin: not ready within -1 s: component 'goer'" in why
+
+
+def test_what_fails_as_its_action_ends_is_no_failure_of_the_next_one() -> None:
+    rig = Rig(robot_with(task("t", act("a", "see"), act("b", "go"))), "t")
+    rig.agents.states["seeer"] = ComponentStatus(
+        name="seeer", state="failed", error="Traceback\nValueError: no rest"
+    )
+    rig.end("seeer")
+    assert rig.active() == {"goer"}
+    rig.manager.advance()
+    assert rig.resting() == set()
+    assert (
+        "component 'seeer' on 'main' failed when its action ended, and lost its state: "
+        "ValueError: no rest"
+    ) in rig.said()
+
+
+def test_what_does_not_come_to_rest_is_waited_for_by_what_begins_alone() -> None:
+    robot = robot_with(task("t", act("a", "see"), act("b", "go")), task("u"), cpu=2.0)
+    rig = Rig(replace(robot, tasks=(*robot.tasks[:1], task("u", act("c", "say")))))
+    for name in "tu":
+        rig.manager.command("start", name)
+    rig.agents.states["seeer"] = ComponentStatus(name="seeer", state="active")
+    rig.end("seeer")
+    rig.end("sayer")
+    assert rig.states()["u"] == ("done", "")
+    assert rig.active() == set()
+    assert [each.component for each in rig.run.coming_to_rest()] == ["seeer"]
+    rig.agents.configure("seeer")
+    rig.manager.advance()
+    assert rig.active() == {"goer"}
+
+
+def test_a_computer_that_is_lost_comes_before_what_takes_long_to_be_activated() -> None:
+    rig = Rig(robot_with(task("t", act("a", "see"))))
+    rig.run.goes_on_without_lost = True
+    rig.agents.lost_amid_activation = "spare"
+    rig.agents.states["seeer"] = ComponentStatus(name="seeer", state="inactive")
+    rig.manager.command("start", "t")
+    assert rig.states()["t"] == ("going", "")
+    assert rig.active() == set()
+    assert [e.component for e in rig.run.desired.configured_ahead] == ["seeer"]
+    rig.manager.advance()  # at once: what was lost is started elsewhere first
+    assert rig.active() == set()
 
 
 def test_what_does_not_start_is_tried_once_a_look() -> None:

@@ -27,7 +27,12 @@ from poise.manage.agent_connections.statuses import (
 from poise.manage.deploy.desired import Desired, Incarnation
 from poise.manage.deploy.desired_state import DesiredState
 from poise.manage.journal import Journal
-from poise.manage.observe.deviations import combined, faults_after, last_numbers
+from poise.manage.observe.deviations import (
+    Numbers,
+    combined,
+    faults_after,
+    last_numbers,
+)
 from poise.manage.tasks.task_reports import Switches
 from poise.model.robot import Robot
 from poise.units import counted
@@ -61,6 +66,10 @@ class DoesNotStart(RunError):
     def __init__(self, component: str, error: str, where: str = "") -> None:
         super().__init__(f"component '{component}'{where} failed:\n{error}")
         self.component = component
+
+
+class NotReady(RunError):
+    """What was waited for is not ready in time, and nothing else is wrong with it."""
 
 
 class LiveRobot(DesiredState):
@@ -274,13 +283,13 @@ class LiveRobot(DesiredState):
             elif self.agents.out_of_reach():
                 return False
             self._raise_on_refusal(wanted)
-            self._raise_on_crashes(wanted)
+            self.raise_on_crashes(wanted, self._faults_before_commit)
             return not self.missing(wanted)
 
         if not self.agents.wait_news(is_reached, limit):
             self.raise_on_lost()
             missing = "; ".join(self.missing(wanted))
-            raise RunError(f"not ready within {limit:g} s: {missing}")
+            raise NotReady(f"not ready within {limit:g} s: {missing}")
 
     def commit_lastingly(self, desired: Desired, why: str) -> None:
         """Let something else run, and wait until each later manager will know of it.
@@ -320,6 +329,20 @@ class LiveRobot(DesiredState):
         """Return what is known of an incarnation; None: nothing."""
         components = components_of(self.current())
         return next((c for c in components if (c.name, c.epoch) == wanted.key), None)
+
+    def coming_to_rest(self) -> list[Incarnation]:
+        """Return what should be idle and is still active; from any thread."""
+        active = {
+            (component.name, component.epoch)
+            for component in components_of(self.current())
+            if component.state == "active"
+        }
+        away = self.agents.out_of_reach()
+        return [
+            idle
+            for idle in self.desired.prefetched.values()
+            if idle.key in active and idle.computer not in away
+        ]
 
     def health_of(self, wanted: Incarnation) -> ContainerHealth | None:
         """Return what is known of an incarnation's container; None: nothing."""
@@ -483,10 +506,12 @@ class LiveRobot(DesiredState):
             if refusal := self.reconciler.refusal(computer):
                 raise RunError(refusal)
 
-    def _raise_on_crashes(self, incarnations: Iterable[Incarnation]) -> None:
-        """Raise DoesNotStart when a container has ended `_CRASHES` times meanwhile."""
+    def raise_on_crashes(
+        self, incarnations: Iterable[Incarnation], before: Numbers
+    ) -> None:
+        """Raise DoesNotStart when a container has ended `_CRASHES` times since."""
         faults: dict[tuple[str, str], list[tuple[str, Fault]]] = {}
-        for computer, fault in faults_after(self._faults_before_commit, self.current()):
+        for computer, fault in faults_after(before, self.current()):
             if not fault.is_over:
                 place = computer, fault.container
                 faults.setdefault(place, []).append((computer, fault))

@@ -48,11 +48,17 @@ class Watch:
         """Yield which components are being changed, in words; from any thread."""
         live = self._live
         desired = live.desired
-        names = {each.component for each in desired.coming}
-        names |= {n for n, placed in desired.placed.items() if placed.goal != "active"}
+        names = {n for n, placed in desired.placed.items() if placed.goal != "active"}
+        starting = [
+            each
+            for each in desired.configured_ahead
+            if each.component not in desired.placed
+        ]
+        changing = [*desired.coming, *starting, *live.coming_to_rest()]
+        names |= {each.component for each in changing}
         if names:
-            what = f"being started, moved or replaced: {listed(sorted(names))}"
-            yield "; ".join([what, *not_at_goals(desired.coming, live.current(), ())])
+            what = f"being started, moved, replaced or stopped: {listed(sorted(names))}"
+            yield "; ".join([what, *not_at_goals(changing, live.current(), ())])
 
     @property
     def num_faults(self) -> int:

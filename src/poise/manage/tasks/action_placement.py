@@ -271,7 +271,8 @@ class Admission:
         functions -= left_out
         runs = situation.robot.components_for(functions)
         placement = {n: at for n, at in situation.placement.items() if n in runs}
-        idle = self._live.prepared()
+        ahead = self._live.desired.configured_ahead
+        idle = self._live.prepared() | {e.component: e.computer for e in ahead}
         hint = {n: idle.get(n, at) for n, at in by_plan.items() if n in runs}
         here = replace(situation, placement=placement)
         return room_for_functions(here, functions, hint)

@@ -12,18 +12,22 @@ from __future__ import annotations
 
 import time
 from collections.abc import Collection, Iterable, Mapping
+from math import inf
 
 from msgspec.structs import replace
 
-from poise.errors import RunError
-from poise.manage.agent_connections.statuses import components_of
+from poise.clock import boot_time
+from poise.errors import RunError, last_error
+from poise.manage.agent_connections.statuses import components_of, not_at_goals
 from poise.manage.deploy.desired import Incarnation
 from poise.manage.deploy.live_robot import (
     ACTIVE_LIMIT,
     READY_LIMIT,
     DoesNotStart,
     LiveRobot,
+    NotReady,
 )
+from poise.manage.observe.deviations import Numbers, last_numbers
 from poise.model.robot import Architecture
 
 
@@ -55,10 +59,27 @@ def drop(live: LiveRobot, components: Iterable[str]) -> None:
         live.commit(live.desired.without(gone), "idle components end")
 
 
+PATIENCE = 0.5
+"""All else waits for so long [s] until what begins is ready; then it goes on."""
+
+
+LOSS_FIRST = 1.0
+"""For so long [s] nothing that takes long begins after a computer was lost: what was
+there is started elsewhere first."""
+
+
+class LaterError(RunError):
+    """What was to begin takes long: it is configured while all else goes on."""
+
+    def __init__(self, why: str, delay: float = 0.0) -> None:
+        super().__init__(why)
+        self.delay = delay
+
+
 def switch(live: LiveRobot, ends: Collection[str], begins: Mapping[str, str]) -> bool:
     """Let components rest, prepared, and others begin to work.
 
-    Returns whether all of these were prepared.
+    Returns whether all of these were prepared. Raises LaterError when they take long.
     """
     are_ready = _are_ready(live, begins)
     idle = [
@@ -72,12 +93,19 @@ def switch(live: LiveRobot, ends: Collection[str], begins: Mapping[str, str]) ->
     desired = live.desired.without([*ends, *begins]).with_prefetched(idle)
     try:
         live.commit(desired.with_coming(new), "switch to the next action")
-        _wait(live, [*idle, *new], READY_LIMIT)
+        _wait_until_configured(live, new)
+        if not new:
+            return are_ready
         live.end_left_behind(new)
         # what is at work on a computer that was joined meanwhile goes on
         active = [e.with_goal("active") for e in new if e.component not in live.placed]
         live.commit(live.desired.with_coming(active), "activate the next action")
-        _wait(live, active, ACTIVE_LIMIT)
+        _wait(live, active, ACTIVE_LIMIT, until_loss=True)
+    except LaterError as error:
+        later = [replace(each, unjoined=True) for each in new]
+        desired = live.desired.with_coming(()).with_configured_ahead(later)
+        live.commit(desired, f"all else goes on meanwhile: {error}")
+        raise
     except RunError as error:
         live.commit(live.desired.with_coming(()), f"it cannot begin: {error}")
         raise
@@ -85,21 +113,96 @@ def switch(live: LiveRobot, ends: Collection[str], begins: Mapping[str, str]) ->
     return are_ready
 
 
+class SlowStarts:
+    """What is configured for actions that are due, while all else goes on."""
+
+    def __init__(self, live: LiveRobot) -> None:
+        self._live = live
+        self._since: dict[str, float] = {}
+        self._not_before = 0.0
+        self._faults_before: Numbers = {}
+
+    def note(self, begins: Iterable[str], since: float, delay: float) -> None:
+        """Note what takes long, and since when its actions are due [s, `boot_time`].
+
+        It begins after a delay [s] at the earliest.
+        """
+        self._since = {**dict.fromkeys(begins, since), **self._since}
+        self._not_before = boot_time() + delay
+        self._faults_before = last_numbers(self._live.agents.statuses())
+
+    def keep(self, begins: Mapping[str, str]) -> None:
+        """End what is not to begin any more, or elsewhere."""
+        ahead = self._ahead()
+        gone = [e for n, e in ahead.items() if begins.get(n) != e.computer]
+        self._since = {n: at for n, at in self._since.items() if n in begins}
+        if gone:
+            desired = self._live.desired.without_configured_ahead(gone)
+            self._live.commit(desired, "it does not begin there any more")
+
+    def since(self, begins: Iterable[str]) -> float:
+        """Return since when the actions are due of what begins [s]; inf: it is new."""
+        return min((self._since.get(name, inf) for name in begins), default=inf)
+
+    def placement(self) -> dict[str, str]:
+        """Return where the components are that take long."""
+        return {name: each.computer for name, each in self._ahead().items()}
+
+    def is_due(self) -> bool:
+        """Return whether there are some, and all can begin now."""
+        ahead = self._ahead() if self._since else {}
+        return bool(ahead) and not self._late(ahead)
+
+    def ready(self, begins: Mapping[str, str]) -> dict[str, str]:
+        """Return what may begin now, whole architectures.
+
+        Raises RunError when something will not be ready.
+        """
+        live, ahead = self._live, self._ahead()
+        _raise_on_failed(live, ahead.values())
+        live.raise_on_crashes(ahead.values(), self._faults_before)
+        late = self._late(ahead)
+        if late and boot_time() > self.since(late) + READY_LIMIT:
+            waits = [*live.missing(late.values()), *_not_at_rest(live)]
+            raise RunError(f"not ready within {READY_LIMIT:g} s: {'; '.join(waits)}")
+        stuck = {live.robot.architecture_of(name).name for name in late}
+        return {
+            name: at
+            for name, at in begins.items()
+            if live.robot.architecture_of(name).name not in stuck
+        }
+
+    def _ahead(self) -> dict[str, Incarnation]:
+        ahead = self._live.desired.configured_ahead
+        return {e.component: e for e in ahead if e.component in self._since}
+
+    def _late(self, ahead: Mapping[str, Incarnation]) -> dict[str, Incarnation]:
+        live = self._live
+        if ahead and (boot_time() < self._not_before or live.coming_to_rest()):
+            return dict(ahead)
+        return {n: e for n, e in ahead.items() if not _is_inactive(live, e)}
+
+
 def _are_ready(live: LiveRobot, components: Mapping[str, str]) -> bool:
     """Return whether all of some components are prepared where they are to work."""
     return all(
         (idle := live.prefetched.get(name)) is not None
         and idle.computer == computer
-        and (found := live.reported(idle)) is not None
-        and found.state == "inactive"
+        and _is_inactive(live, idle)
         for name, computer in components.items()
     )
+
+
+def _is_inactive(live: LiveRobot, incarnation: Incarnation) -> bool:
+    found = live.reported(incarnation)
+    return found is not None and found.state == "inactive"
 
 
 def _prepared(
     live: LiveRobot, name: str, computer: str, *, gently: bool = False
 ) -> Incarnation:
-    before = live.prefetched.get(name)
+    ahead = {each.component: each for each in live.desired.configured_ahead}
+    before = live.prefetched.get(name) or ahead.get(name)
     if before is not None and before.computer == computer:
         found = live.reported(before)
         if found is None or found.state != "failed":
@@ -108,19 +211,57 @@ def _prepared(
     return replace(new, goal="inactive", gently=gently, unjoined=True)
 
 
-def _wait(live: LiveRobot, wanted: Collection[Incarnation], limit: float) -> None:
-    """Wait until components are at their goals; others' troubles do not count."""
-    mine = {incarnation.key for incarnation in wanted}
+def _wait(
+    live: LiveRobot,
+    wanted: Collection[Incarnation],
+    limit: float,
+    *,
+    until_loss: bool = False,
+) -> None:
+    """Wait until components are at their goals; others' troubles do not count.
+
+    `until_loss`: raises LaterError when a computer is lost, which is more urgent.
+    """
+    away = live.agents.out_of_reach().keys()
 
     def trouble() -> bool:
         live.poll()
-        for component in components_of(live.agents.statuses()):
-            is_mine = (component.name, component.epoch) in mine
-            if is_mine and component.state == "failed":
-                raise DoesNotStart(component.name, component.error)
+        _raise_on_failed(live, wanted)
+        if until_loss and (lost := live.agents.out_of_reach().keys() - away):
+            raise LaterError(f"computer '{min(lost)}' is out of reach", LOSS_FIRST)
         return False
 
     live.wait(wanted, limit, trouble)
+
+
+def _wait_until_configured(live: LiveRobot, new: Collection[Incarnation]) -> None:
+    """Wait until all is configured and joined, and what should rest does.
+
+    Raises LaterError when something is to begin, and that takes long.
+    """
+    try:
+        _wait(live, new, PATIENCE)
+    except NotReady as error:
+        raise LaterError(str(error)) from error
+
+    def is_at_rest() -> bool:
+        live.poll()
+        return not live.coming_to_rest()
+
+    if not live.agents.wait_news(is_at_rest, PATIENCE) and new:
+        raise LaterError("; ".join(_not_at_rest(live)))
+
+
+def _raise_on_failed(live: LiveRobot, wanted: Iterable[Incarnation]) -> None:
+    mine = {incarnation.key for incarnation in wanted}
+    for component in components_of(live.agents.statuses()) if mine else ():
+        if (component.name, component.epoch) in mine and component.state == "failed":
+            raise DoesNotStart(component.name, component.error)
+
+
+def _not_at_rest(live: LiveRobot) -> list[str]:
+    """Return what should rest and does not yet, in words."""
+    return not_at_goals(live.coming_to_rest(), live.current(), ())
 
 
 SHORTEST, LONGEST = 10.0, 300.0
@@ -139,6 +280,7 @@ class IdleComponents:
     def drop_expired(self, kept: Collection[str]) -> None:
         """End what has been idle for too long."""
         live, now = self._live, time.monotonic()
+        self._drop_failed()
         idle = {n for n, e in live.prefetched.items() if not e.gently}
         self._since = {n: self._since.get(n, now) for n in sorted(idle)}
         for architecture in live.robot.architectures:
@@ -154,6 +296,18 @@ class IdleComponents:
                 text = f"stopping architecture '{architecture.name}': no action has "
                 live.journal.note("decided", f"{text}needed it for {limit:.1f} s")
                 drop(live, names)
+
+    def _drop_failed(self) -> None:
+        """End what failed as it came to rest, and say so: nothing waits for it."""
+        live, failed = self._live, []
+        for name, idle in live.prefetched.items():
+            found = None if idle.gently else live.reported(idle)
+            if found is not None and found.state == "failed":
+                what = f"component '{name}' on '{idle.computer}' failed when its action"
+                why = last_error(found.error)
+                live.journal.note("wrong", f"{what} ended, and lost its state: {why}")
+                failed.append(name)
+        drop(live, failed)
 
     def oldest_first(self, prepared: Iterable[str]) -> list[str]:
         """Return prepared components: those that only might be needed come first.

@@ -37,7 +37,7 @@ from poise.manage.tasks.component_reports import (
     conditions_of,
 )
 from poise.manage.tasks.concurrent_tasks import Tasks, task_reports
-from poise.manage.tasks.switch import IdleComponents, switch
+from poise.manage.tasks.switch import IdleComponents, LaterError, SlowStarts, switch
 from poise.manage.tasks.task_progress import ActionEnded, Attempt, Saved, TaskRecord
 from poise.manage.tasks.task_reports import OVER, TaskReport
 from poise.model.condition import Condition, parse_condition
@@ -77,6 +77,8 @@ class TaskManager:
         self._room = Admission(live, self.tasks, self._plans)
         self._component_reports = ComponentReports(live, self.tasks.saved.heard)
         self._idle = IdleComponents(live)
+        self._slow = SlowStarts(live)
+        self._has_begun = False  # before, what is suspended counts as due
         self._room_at, self._room_again = 0.0, _ROOM_AGAIN
         self._lost: AbstractSet[str] = frozenset()
         self._suspended: AbstractSet[str] = frozenset()
@@ -92,6 +94,7 @@ class TaskManager:
         actions = [  # nothing needs what is done on failure, until one has failed
             replace(attempt.action, on_failure="give up")
             for _, attempt in self._due_actions()
+            if not self._has_begun or attempt.progress.since is not None
         ]
         used = {function for action in actions for function in action.functions}
         if fixed := self._serving.fixed():
@@ -104,8 +107,8 @@ class TaskManager:
     def likely_next(self) -> list[LikelyAction]:
         """Return what may be needed next and does not run, the most probable first."""
         live, self._upcoming = self._live, self.tasks.next_actions()
-        placed, idle = live.placement(), live.prepared()
-        return likely_next(self._upcoming, self._plans, placed, idle)
+        runs = live.placement() | self._slow.placement()
+        return likely_next(self._upcoming, self._plans, runs, live.prepared())
 
     def is_over(self) -> bool:
         """Return whether no task runs, waits or is paused any more."""
@@ -126,8 +129,8 @@ class TaskManager:
         return next(r for r in reversed(self.reports) if r.name == task)
 
     def has_news(self) -> bool:
-        """Return whether a component says that an action has ended."""
-        return bool(self._reported_ends())
+        """Return whether an action has ended, or can begin at last."""
+        return bool(self._reported_ends()) or self._slow.is_due()
 
     def command(self, verb: str, name: str, priority: int | None = None) -> None:
         """Start, pause, resume or cancel a task, and do what follows."""
@@ -158,6 +161,7 @@ class TaskManager:
             self.tasks.arbitrate(boot_time())
             if not self._reconcile():
                 break
+        self._has_begun = True
         self.tasks.announce()
         self._learn()
 
@@ -167,6 +171,7 @@ class TaskManager:
         ends = [a for a in self._serving.moving() if a.function not in wanted]
         new = [due for due in self._due_actions() if due[1].progress.since is None]
         if not ends and not new:
+            self._slow.keep({})
             return False
         needed = {name for _, each in new for name in each.action.functions}
         if self._lost and (gone := self._serving.replaceable(self._lost, needed)):
@@ -189,13 +194,23 @@ class TaskManager:
         """Carry a switch out; return whether to go on with what follows at once."""
         live = self._live
         stops = [c.name for a in ends for c in a.components if c.name in live.placed]
-        begins = room.begins
+        self._slow.keep(room.begins)
+        try:
+            begins = self._slow.ready(room.begins)
+        except RunError as error:
+            self._fail(new, self._slow.placement(), error)
+            self._slow.keep({})
+            return False
         is_hit = False
+        since = min(self._since, self._slow.since(begins))
         heard = self._component_reports.ends()
         try:
             stops = self._make_room(room, begins, stops)
             if stops or begins:
                 is_hit = switch(live, stops, begins)
+        except LaterError as error:
+            self._slow.note(begins, since, error.delay)
+            begins = {}
         except RunError as error:
             self._fail(new, begins, error)
             return False  # that took its time: the robot is looked after in between
@@ -207,7 +222,7 @@ class TaskManager:
                 attempt.progress.heard = said.epoch, said.count
             self.tasks.began(attempt.number, boot_time())
             if begins:
-                self._note_switch(record, attempt, is_hit=is_hit)
+                self._note_switch(record, attempt, since, is_hit=is_hit)
         return self._fail_endless([attempt for _, attempt in began])
 
     def _has_turn(self, attempt: Attempt) -> bool:
@@ -390,9 +405,9 @@ class TaskManager:
         return self._live.robot.components_for(self.tasks.functions_of(halted))
 
     def _note_switch(
-        self, record: TaskRecord, attempt: Attempt, *, is_hit: bool
+        self, record: TaskRecord, attempt: Attempt, since: float, *, is_hit: bool
     ) -> None:
-        seconds = boot_time() - self._since
+        seconds = boot_time() - since
         self._live.switches.note(seconds, is_hit=is_hit)
         how = "it was prepared" if is_hit else "it was not prepared"
         text = f"switched to action '{attempt.name}' in {seconds:.3f} s: {how}"
