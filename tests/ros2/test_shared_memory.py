@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from poise.ros2 import ros_context
-from poise.ros2.shared_memory import remove_leftovers
+from poise.ros2.ros_context import remove_leftovers
 
 _UNUSED, _USED, _PORT = "fastdds_" + 16 * "a", "fastdds_" + 16 * "b", "fastdds_port7000"
 _NODE = """

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
+import fcntl
 import functools
 import importlib
 import os
+import re
 import tempfile
 import threading
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from poise.clock import wall_time
 from poise.errors import RobotError
-from poise.ros2.shared_memory import remove_leftovers
 from poise.user_folders import home_folder
 
 _arguments: ContextVar[Sequence[str] | None] = ContextVar("arguments", default=None)
@@ -24,6 +26,9 @@ _changing = threading.Lock()
 _users = 0
 _MALLOPT = {-1: 512 << 20, -3: 32 << 20}
 """M_TRIM_THRESHOLD and M_MMAP_THRESHOLD of mallopt(3) [bytes]."""
+_LOCK = re.compile(r"fastdds_[0-9a-f]{16}_el")
+_YOUNG = 60.0
+"""A younger file may belong to a process that has yet to lock it [s]."""
 
 
 def rclpy() -> ModuleType:
@@ -62,6 +67,35 @@ def leave() -> None:
             rclpy().try_shutdown()
 
 
+def remove_leftovers(
+    folder: Path = Path("/dev/shm"),  # noqa: S108, where Fast DDS has them
+    young: float = _YOUNG,
+) -> list[str]:
+    """Remove the shared memory of killed processes of Fast DDS; return the names.
+
+    Each leaves a segment of half a MB, which is in use as long as a process locks its
+    file of the same name with `_el`. Those of ports stay: the next process at a port
+    uses them.
+    """
+    removed = []
+    for lock in folder.glob("fastdds_*_el"):
+        with contextlib.suppress(OSError):  # in use, another user's, or just removed
+            is_ours = lock.stat().st_uid == os.geteuid()
+            is_old = wall_time() - lock.stat().st_mtime >= young
+            if is_ours and is_old and _LOCK.fullmatch(lock.name):
+                _remove(lock)
+                removed.append(lock.name.removesuffix("_el"))
+    return removed
+
+
+def _remove(lock: Path) -> None:
+    """Remove a segment and its lock; OSError when a process holds that."""
+    with lock.open("rb") as file:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        lock.with_name(lock.name.removesuffix("_el")).unlink(missing_ok=True)
+        lock.unlink()
+
+
 def home() -> dict[str, str]:
     """Return what tells ROS 2 where to log, which it refuses to start without."""
     if {"HOME", "ROS_HOME", "ROS_LOG_DIR"} & os.environ.keys():
@@ -72,7 +106,7 @@ def home() -> dict[str, str]:
     return {"ROS_LOG_DIR": tempfile.mkdtemp(prefix="poise-ros-")}
 
 
-@contextmanager
+@contextlib.contextmanager
 def arguments_given(arguments: Sequence[str]) -> Iterator[None]:
     """Give the nodes that are constructed in a block arguments of the command line.
 

@@ -9,7 +9,7 @@ import pytest
 from poise import Component, Message, Provided, Published, Required, subscribed
 from poise.errors import UsageError
 from poise.runtime.component.ports import ports_of
-from poise.runtime.migration.port_check import check_ports
+from poise.runtime.migration.executor import check_ports
 
 
 class Scan(Message):

@@ -15,6 +15,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
@@ -24,12 +25,7 @@ import msgspec
 from poise import threads
 from poise.errors import RobotError, did_you_mean, listed, signal_name
 from poise.runtime.component.component import Component
-from poise.runtime.hosting.command_processes import (
-    GONE_LIMIT,
-    NAME,
-    end_all,
-    signal_all,
-)
+from poise.runtime.hosting.descendants import children
 from poise.runtime.hosting.output import LONGEST, write_as
 
 if TYPE_CHECKING:
@@ -39,7 +35,11 @@ _STOP_LIMIT = 5.0
 """A process that was asked to end is killed after this time [s], as by ROS 2."""
 _OUTPUT_LIMIT = 1.0
 """What it wrote is read for so long after its end [s]: a child may keep its pipe."""
-_KILL_LIMIT = 0.5 + GONE_LIMIT + _OUTPUT_LIMIT
+_GONE_LIMIT, _LOOK = 0.5, 0.01
+"""What was killed is waited for so long, and looked at so often [s]."""
+_KILL_LIMIT = 0.5 + _GONE_LIMIT + _OUTPUT_LIMIT
+_NAME = "POISE_COMPONENT"
+"""The variable that tells a command, and what it starts, which component it is."""
 _PYTHON = {"python", "python3"}
 _PR_SET_PDEATHSIG = 1
 _prctl = ctypes.CDLL(None).prctl
@@ -114,7 +114,7 @@ class CommandLine(Component):
             for name, path in self._context.devices.items()
         }
         return {
-            NAME: self.name,
+            _NAME: self.name,
             "POISE_PARAMETERS": msgspec.json.encode(self.parameters).decode(),
             **devices,
             **self.variables,
@@ -133,7 +133,7 @@ class CommandLine(Component):
     def _watch(self) -> None:
         """Wait for the end of the process, and end what it started along."""
         os.waitid(os.P_PID, self._process.pid, os.WEXITED | os.WNOWAIT)
-        end_all(self.name, self._process.pid)
+        self._end_all()
         code = self._process.wait()
         self._reader.join(_OUTPUT_LIMIT)  # its last words tell why it ended
         if not self._is_stopping:
@@ -141,8 +141,35 @@ class CommandLine(Component):
             advice = "" if code else ": it should run in the foreground until SIGTERM"
             self._context.give_up(f"its command ended with {how}{advice}")
 
+    def _end_all(self) -> None:
+        """Kill all of its processes, and wait until they are gone."""
+        deadline = time.monotonic() + _GONE_LIMIT
+        self._signal(signal.SIGKILL)
+        while self._processes() and time.monotonic() < deadline:
+            time.sleep(_LOOK)
+            self._signal(signal.SIGKILL)
+
     def _signal(self, number: signal.Signals) -> None:
-        signal_all(self.name, self._process.pid, number)
+        """Send a signal to the process group, and to its other processes."""
+        group = self._process.pid
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(group, number)
+        for process in self._processes():
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                if os.getpgid(process) != group:
+                    os.kill(process, number)
+
+    def _processes(self) -> list[int]:
+        """Return its processes, also those that left its session and parent."""
+        found, parents = list[int](), [os.getpid()]
+        while parents:
+            for child in children(parents.pop()):
+                parents.append(child)
+                with contextlib.suppress(OSError):  # it has ended, or gained rights
+                    environment = Path(f"/proc/{child}/environ").read_bytes()
+                    if f"{_NAME}={self.name}".encode() in environment.split(b"\0"):
+                        found.append(child)
+        return found
 
     def _not_started(self, error: Exception) -> RobotError:
         return RobotError(f"'{self.command[0]}' cannot be started: {error}")

@@ -7,14 +7,15 @@ comes late is refused by the incarnation's phase, or undone by the next deployme
 from __future__ import annotations
 
 import time
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 
-from poise.errors import PoiseError, RunError
+from poise.errors import PoiseError, RunError, UsageError
 from poise.priority import as_usual
 from poise.runtime.component.error_report import brief_traceback
+from poise.runtime.component.implementation import fingerprint
+from poise.runtime.component.ports import Port
 from poise.runtime.hosting.runner import Runner
 from poise.runtime.hosting.wiring import Runners, Wiring
-from poise.runtime.migration.port_check import check_ports
 from poise.runtime.migration.state_transfer import StateReceiver, StateSender
 from poise.runtime.migration.step_taker import StepTaker
 from poise.runtime.waker import poll_until
@@ -225,3 +226,28 @@ class MigrationExecutor(StepTaker):
                 f"{migration}, and {participant.migration} has begun"
             )
         return participant
+
+
+def check_ports(
+    component: str, before: Mapping[str, Port], after: Mapping[str, Port]
+) -> None:
+    """Raise UsageError when the connectors of the code before do not fit other code.
+
+    They do where the robot's check would let both have them: a port has the type that
+    it had, and no port needs a connector that there is not.
+    """
+    for name, port in after.items():
+        known = before.get(name)
+        end = f"'{component}.{name}' {_shown(port)}"
+        if known is not None and _meaning(known) != _meaning(port):
+            raise UsageError(f"the types differ: {end}, and before {_shown(known)}")
+        if known is None and port.kind in {"requires", "subscribes"}:
+            raise UsageError(f"{end}, but no connector joins it")
+
+
+def _meaning(port: Port) -> object:
+    return port.kind, fingerprint(port.type)
+
+
+def _shown(port: Port) -> str:
+    return f"{port.kind} {getattr(port.type, '__qualname__', port.type)}"
