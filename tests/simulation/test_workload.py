@@ -185,6 +185,19 @@ def test_what_nobody_says_is_guessed_and_said(robot: Robot) -> None:
     assert cpu_of(work, "arm", coming=0.0) == pytest.approx(0.2 / 1.05)
 
 
+def test_says_whose_cpu_is_not_known(robot: Robot) -> None:
+    """Nothing is late where nothing takes CPU."""
+    first, *others = robot.architectures
+    new = ComponentEntry(name="new", command=("x",), demand={"memory": 1e6})
+    first = structs.replace(first, components=(*first.components, new))
+    grown = structs.replace(robot, architectures=(first, *others))
+    said = "no CPU is known of 'new': it takes none here"
+    for profile in (None, profile_of(robot)):
+        assert said in workload_of(grown, profile).guesses
+        before = workload_of(robot, profile)
+        assert not any("no CPU is known" in guess for guess in before.guesses)
+
+
 def test_programs_take_the_cpu_that_the_robot_file_gives_them(robot: Robot) -> None:
     """Also one that hears a topic of ROS 2, which no simulated component sends."""
     first, *others = robot.architectures

@@ -130,6 +130,8 @@ def workload_of(
         factors = tuple(second / mean for second in taken) if mean else ()
         model = _at_rates(part.model(), _rates(robot, entry.name, bag))
         models[entry.name] = structs.replace(model, factors=factors)
+    if unknown := list(_without_demand(robot, profile)):
+        guesses.append(f"no CPU is known of {', '.join(unknown)}: it takes none here")
     if not all(_knows_waits(robot, profile)):
         guesses.append(NO_WAITS)
     traffic = Traffic(
@@ -140,6 +142,13 @@ def workload_of(
     return SimulatedWork(
         models=models, traffic=traffic, agent=profile.agent, guesses=tuple(guesses)
     )
+
+
+def _without_demand(robot: Robot, profile: Profile) -> Iterator[str]:
+    """Yield the components whose CPU neither the robot file nor the profile gives."""
+    for entry in robot.components():
+        if entry.name not in profile.components and "cpu" not in entry.demand:
+            yield f"'{entry.name}'"
 
 
 def _knows_waits(robot: Robot, profile: Profile) -> Iterator[bool]:
