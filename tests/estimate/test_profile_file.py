@@ -1,3 +1,4 @@
+import math
 from pathlib import Path
 
 import msgspec
@@ -31,6 +32,16 @@ def test_says_how_to_replace_what_is_yaml_and_no_profile() -> None:
     says = r"p\.yaml: not a profile: .*`poise`\. Write it again with `poise profile`"
     with pytest.raises(RobotError, match=says):
         profile_file.from_text("robot: r\n", "p.yaml")
+
+
+@pytest.mark.parametrize("value", [-1.0, math.inf, math.nan])
+def test_refuses_what_nothing_measures(profile: Profile, value: float) -> None:
+    """Whoever edits a profile by hand reads which number it is."""
+    eye = msgspec.structs.replace(profile.components["eye"], memory=value)
+    wrong = msgspec.structs.replace(profile, components={"eye": eye})
+    says = rf"p\.yaml: not a profile: components\.eye\.memory is {value}, which nothing"
+    with pytest.raises(RobotError, match=says):
+        profile_file.from_text(profile_file.to_text(wrong), "p.yaml")
 
 
 def test_says_what_writes_a_file_that_is_not_there(tmp_path: Path) -> None:

@@ -410,13 +410,29 @@ def from_text(text: str, file: str) -> Profile:
         plain = yaml.load(text, _LOADER)  # noqa: S506 - both are safe
         if why := _too_old(plain):
             raise RobotError(f"{file}: {why}")
-        return convert(plain, Profile)
+        profile = convert(plain, Profile)
     except msgspec.ValidationError as error:
-        raise RobotError(
-            f"{file}: not a profile: {error}. Write it again with `poise profile`"
-        ) from error
+        raise _no_profile(file, str(error)) from error
     except (yaml.YAMLError, ValueError) as error:  # as for a date that does not exist
         raise RobotError(f"{file}: not YAML: {error}") from error
+    if wrong := list(_wrong_amounts(plain)):
+        raise _no_profile(file, f"{', '.join(wrong)}, which nothing measures")
+    return profile
+
+
+def _no_profile(file: str, why: str) -> RobotError:
+    return RobotError(
+        f"{file}: not a profile: {why}. Write it again with `poise profile`"
+    )
+
+
+def _wrong_amounts(value: object, name: str = "") -> Iterator[str]:
+    """Yield the numbers in a profile that are below 0, infinite or none."""
+    if isinstance(value, dict):
+        for key, entry in value.items():
+            yield from _wrong_amounts(entry, f"{name}.{key}" if name else str(key))
+    elif isinstance(value, int | float) and not 0 <= value < math.inf:
+        yield f"{name} is {value}"
 
 
 def _too_old(plain: object) -> str:
