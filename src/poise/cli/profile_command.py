@@ -33,9 +33,9 @@ from poise.session.folders import to_write
 from poise.session.profiling.calibrate import Calibration, calibrate
 from poise.session.profiling.profile_robot import Profiling, Tick, profile
 from poise.session.profiling.stored_profiles import (
+    kept_profiles,
     own_profile,
     stale,
-    store_of,
     write_demands,
 )
 from poise.session.render.printable import console_to
@@ -125,9 +125,9 @@ def show_command(
     """
     console = console_to(stderr=as_json)
     robot = load_bare(file)
-    with store_of(robot) as store:
-        last = own_profile(robot) or store.latest(robot.name)
-        earlier = store.all(robot.name) if history else []
+    last = own_profile(robot)
+    earlier = kept_profiles(robot) if history or last is None else []
+    last = last or next(iter(earlier), None)
     if last is None:
         raise RobotError(
             f"robot '{robot.name}' has no profile: `poise profile {file}` measures it"

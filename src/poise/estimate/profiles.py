@@ -487,10 +487,6 @@ class Store(SqliteFile):
         profiles = self._newest_first(robot, "profile")
         return [from_json(text, Profile) for text in profiles]
 
-    def latest(self, robot: str) -> Profile | None:
-        """Return the newest profile of a robot."""
-        return next(iter(self.all(robot)), None)
-
     def add_costs(self, robot: str, costs: Mapping[str, KindCosts]) -> None:
         """Add the costs of connectors on a robot's computers."""
         self._add(robot, "costs", costs)

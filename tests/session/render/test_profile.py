@@ -8,7 +8,9 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 from rich.console import Console
+from typer.testing import CliRunner
 
+from poise.cli.command_table import build
 from poise.estimate import profiles as profile_file
 from poise.estimate.profiles import (
     ComponentProfile,
@@ -174,6 +176,19 @@ def test_shows_draws_and_compares(tmp_path: Path, poise: Poise) -> None:
     assert "changed since it was measured: eye" in done.stdout
     assert f"drawn to {plot}" in done.stdout
     assert (tmp_path / plot).read_text().startswith("<?xml")
+
+
+@pytest.mark.slow
+def test_a_profile_is_shown_from_a_folder_that_cannot_be_written(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "robot.yaml").write_text(ROBOT)
+    (tmp_path / ".poise").symlink_to("/proc")  # where nobody makes a file
+    words = ["profile", "show", str(tmp_path / "robot.yaml"), "--history"]
+    missing = CliRunner().invoke(build(words), words)
+    assert "has no profile: `poise profile " in str(missing.exception)
+    (tmp_path / "profile.yaml").write_text(profile_file.to_text(NOW))
+    assert CliRunner().invoke(build(words), words).exit_code == 0
 
 
 @pytest.mark.slow

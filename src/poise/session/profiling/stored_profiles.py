@@ -65,6 +65,14 @@ def store_of(robot: Robot) -> Store:
     return Store(Path(robot.folder) / STORE)
 
 
+def kept_profiles(robot: Robot) -> list[Profile]:
+    """Return the profiles of a robot in its store, newest first; write nothing."""
+    if not (Path(robot.folder) / STORE).exists():
+        return []
+    with store_of(robot) as store:
+        return store.all(robot.name)
+
+
 def check_keepable(robot: Robot) -> None:
     """Raise UsageError when a result could not be written."""
     with store_of(robot) as store:
