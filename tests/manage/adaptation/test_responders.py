@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from msgspec.structs import replace
 
 from poise.manage.adaptation import placement_responders
 from poise.manage.adaptation.decision import Decision
@@ -14,6 +15,7 @@ from poise.manage.adaptation.when_to_act import JUDGE_AFTER, SETTLE
 from poise.manage.deploy.desired import Desired
 from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.migration.migration_report import TransitionReport, TransitionStep
+from poise.model.policy import Policy
 from poise.testing import VirtualClock
 from tests.manage.adaptation.shortages.test_suspension import Robbed, robot_with
 
@@ -140,3 +142,24 @@ def test_it_rests_after_a_transition_however_long_that_took(
     assert transitions.loss.doubt == 1.0
     transitions.loss.judge(1.0, clock.now() + JUDGE_AFTER)
     assert transitions.loss.doubt == 2.0
+
+
+def test_a_fail_over_of_a_computer_that_is_up_is_reported_alone() -> None:
+    """Its components were started elsewhere beside themselves, again and again."""
+    robot = robot_with()
+    (left,) = robot.computers
+    mine = Policy(
+        name="mine",
+        for_each="computer",
+        when="components > 0",
+        lasts=0.0,
+        do="fail over",
+        say="'{name}' is odd",
+    )
+    computers = left, replace(left, name="right")
+    robot = replace(robot, computers=computers, policies=(mine,))
+    robbed = Robbed(robot, {"high": "left", "low": "left"})
+    loop = Adaptation(robbed.run, robbed.situation, robbed.suspensions)
+    loop.adapt()
+    assert [each.what for each in loop.deviations] == ["'left' is odd"]
+    assert not [e for e in robbed.journal.entries() if "a lost computer" in e.what]

@@ -190,7 +190,9 @@ class Adaptation:
         self._note_troubles(self._policies.troubles())
         for symptom in situation.symptoms:
             # a computer that is out of reach is reported as such (`LostComputers`)
-            if symptom.key not in self._reported and symptom.policy.do != "fail over":
+            is_loss = symptom.policy.do == "fail over"
+            is_loss = is_loss and symptom.values.name in situation.lost
+            if symptom.key not in self._reported and not is_loss:
                 self._reported[symptom.key] = Deviation(
                     what=symptom.what, computer=symptom.computer, since=wall_time()
                 )

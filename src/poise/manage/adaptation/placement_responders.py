@@ -62,7 +62,8 @@ class FailoverResponder:
     def respond(self, situation: Situation, desired: Desired) -> Change | None:
         """Return where components restart, and what makes room for them."""
         now = situation.now
-        lost = {symptom.values.name for symptom in situation.about("fail over")}
+        asked = {symptom.values.name for symptom in situation.about("fail over")}
+        lost = asked & situation.lost  # a policy may be about one that is up
         # one that failed says nothing of what can be done once others are lost or back
         if self._limits.is_backing_off(now, dict.fromkeys(lost, 1.0)):
             return None
