@@ -21,11 +21,10 @@ from poise.runtime.connectors.latest import (
 )
 from poise.runtime.connectors.sender import Sender
 from poise.runtime.connectors.tap import Observers, observed_send
-from poise.runtime.execution.counters import Counts
+from poise.runtime.execution.counters import Counts, Overtaken
 from poise.runtime.execution.data_age import DataAges, SentChains
 from poise.runtime.execution.exclusion import Exclusion
 from poise.runtime.execution.mailbox import Mailbox
-from poise.wire.codec import WireError
 from poise.wire.records.deployment_records import ConnectorSpec
 
 Timing = Callable[[Callable[..., Any], str], Callable[..., Any]]
@@ -50,9 +49,9 @@ class OvertakenSources:
         return epoch < latest
 
     def check(self, spec: ConnectorSpec) -> None:
-        """Note that a message came; WireError when a later incarnation has sent."""
+        """Note that a message came; Overtaken when a later incarnation has sent."""
         if self.note(spec.name, spec.source_epoch):
-            raise WireError(
+            raise Overtaken(
                 f"dropped a message of '{spec.source}', incarnation "
                 f"{spec.source_epoch}: one of a later incarnation has come already"
             )

@@ -32,12 +32,19 @@ ComponentKey = tuple[str, int]
 """Name and epoch of a component."""
 
 
+class Overtaken(WireError):
+    """A message of an incarnation came after one of a later incarnation."""
+
+
 class Counts(_calls.Counts):
     """What one end of a connector counts, on the threads that use it."""
 
-    def refuse(self, _: WireError) -> None:
-        """Count something that came and is no frame."""
-        self.errors += 1
+    def refuse(self, error: WireError) -> None:
+        """Count something that came and is not taken."""
+        if isinstance(error, Overtaken):
+            self.drops += 1
+        else:
+            self.errors += 1
 
     def status(
         self, name: str, key: str, kind: ConnectorKind, end: Side, *, ready: bool
