@@ -5,11 +5,15 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any
 
+import pytest
+
 from poise import Component, subscribed
 from poise.runtime.component.ports import ports_of
 from poise.runtime.connectors.channel_route import ReceivingEnd
 from poise.runtime.connectors.endpoints import OvertakenSources
 from poise.runtime.connectors.interface import message_tag
+from poise.runtime.connectors.latest import Numbered
+from poise.runtime.connectors.route import DirectRoute, NumberedRoute
 from poise.runtime.execution.counters import Counts
 from poise.runtime.execution.data_age import RemoteClock
 from poise.wire import frame
@@ -69,6 +73,26 @@ def test_what_a_lost_source_sent_is_refused_after_what_the_next_one_sent() -> No
     arm.hear(1, "second")
     arm.hear(0, "late")
     assert arm.came == ["first", "second"]
+    assert (arm.counts.errors, arm.counts.drops) == (0, 1)
+
+
+@pytest.mark.parametrize("route", [DirectRoute, NumberedRoute])
+def test_a_message_from_where_its_component_moved_away_is_dropped(
+    route: type[DirectRoute],
+) -> None:
+    """A thread of the component's own may still publish there."""
+    arm, taken = Receiver(), list[Any]()
+    feed = SimpleNamespace(counts=arm.counts, put=taken.append)
+    mailbox = SimpleNamespace(feed=lambda *_: feed)
+    target: Any = SimpleNamespace(
+        mailbox=mailbox, overtaken=arm.overtaken, heard=arm.heard
+    )
+    sender: Any = SimpleNamespace(counts=arm.counts, note_room=None)
+    here = route("mind.out-arm.to", target, ports_of(Arm)["to"], 1.0, sender, 0)
+    here.push(None, Numbered((0, 1), False, "first"))
+    arm.hear(1, "second")
+    here.push(None, Numbered((0, 2), False, "late"))
+    assert (len(taken), arm.came) == (1, ["second"])
     assert (arm.counts.errors, arm.counts.drops) == (0, 1)
 
 

@@ -106,10 +106,19 @@ class DirectRoute:
 
     def push(self, method: Method | None, value: object) -> int:
         """Put a message or one-way call into the target's mailbox."""
-        entry = (method.tag if method else self._tag, value)
-        self._target.overtaken.note(self._connector, self._epoch)
-        self._feed.put(entry)
+        if not self._is_overtaken():
+            self._feed.put((method.tag if method else self._tag, value))
         return 0
+
+    def _is_overtaken(self) -> bool:
+        """Note that a message is sent; drop and count it when a later incarnation has.
+
+        A thread of a component's own may still publish where the component moved away.
+        """
+        is_overtaken = self._target.overtaken.note(self._connector, self._epoch)
+        if is_overtaken:
+            self._feed.counts.drops += 1
+        return is_overtaken
 
     def has_room(self) -> bool:
         """Return whether the target's queue has room."""
@@ -136,8 +145,8 @@ class NumberedRoute(DirectRoute):
     def push(self, method: Method | None, value: object) -> int:
         """Put a message into the target's mailbox, unless it has come before."""
         del method
-        self._target.overtaken.note(self._connector, self._epoch)
-        take(self._heard, self._connector, value, self._put)
+        if not self._is_overtaken():
+            take(self._heard, self._connector, value, self._put)
         return 0
 
     def ask(self) -> Number:
