@@ -116,6 +116,19 @@ def test_asks_what_if(problem_file: Path) -> None:
     assert json.loads(fewest.stdout)["computers"] == ["one", "two"]
 
 
+def test_says_which_alternative_needs_the_computer_that_is_gone(tmp_path: Path) -> None:
+    path = tmp_path / "held.json"
+    path.write_text(
+        '{"components": [{"name": "a", "only": ["one"]}, {"name": "b"}],'
+        ' "computers": [{"name": "one"}, {"name": "two"}], "architectures": ['
+        '{"name": "good", "components": ["a"], "function": "see"},'
+        '{"name": "plain", "components": ["b"], "function": "see", "quality": 0.5}]}'
+    )
+    found = call(path, "--without", "one", "--json")
+    assert json.loads(found.stdout)["placement"] == {"b": "two"}
+    assert "without one, good can run nowhere, but an alternative can" in found.stderr
+
+
 @pytest.mark.parametrize(
     "wrong",
     [

@@ -151,7 +151,9 @@ def plan_command(
     problems = dict(_problems(file, tasks, known, at_once=at_once))
     has_phases = len(tasks) > 1 or any(len(p.phases) > 1 for p in problems.values())
     _check_phases(tasks, phase, compare, has_phases=has_phases)
+    named = _architectures(problems)
     problems = {name: problem.changed(changed) for name, problem in problems.items()}
+    _say_stranded(named - _architectures(problems), without or [], say)
     with Interrupts() as interrupts:
         solve = partial(
             plan.solve_phases,
@@ -190,6 +192,21 @@ def _problems(
             yield ALL, plan.TaskProblem.of_one(ALL, plan.load(file))
         else:
             yield name or ALL, problem_of_task(robot, name, at_once=at_once)
+
+
+def _architectures(problems: Mapping[str, plan.TaskProblem]) -> set[str]:
+    """Return the names of all architectures that may be placed."""
+    phases = (phase for problem in problems.values() for phase in problem.phases)
+    return {bundle.name for p in phases for bundle in p.problem.architectures}
+
+
+def _say_stranded(
+    names: set[str], without: Sequence[str], say: Callable[[str], None]
+) -> None:
+    """Say which architectures are left out with the computers that are gone."""
+    if names:
+        stranded, lost = ", ".join(sorted(names)), ", ".join(without)
+        say(f"without {lost}, {stranded} can run nowhere, but an alternative can")
 
 
 Decider = Callable[[plan.TaskProblem], DecidedByTime]
