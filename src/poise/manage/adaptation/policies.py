@@ -121,6 +121,7 @@ class OwnFunction:
             self._process = subprocess.Popen(  # noqa: S603, our own code and Python
                 [sys.executable, "-m", policy_process.__name__, *words],
                 stdin=subprocess.DEVNULL,
+                stdout=sys.__stderr__,  # what it prints belongs to no command's output
                 pass_fds=[theirs.fileno()],
                 start_new_session=True,  # Ctrl-C is for the manager
             )

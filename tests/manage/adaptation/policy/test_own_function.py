@@ -41,6 +41,10 @@ def hangs(seen):
     while True:
         pass
 
+def talks(seen):
+    print("I look", flush=True)
+
+
 def quiet(seen):
     pass
 
@@ -89,6 +93,16 @@ def test_it_sees_the_values_and_says_what_to_do(function: OwnFunction) -> None:
     assert function.answer(SEEN) == (action,)
     assert function.answer(Seen(at=1.0)) == ()
     assert not function.trouble
+
+
+@pytest.mark.parametrize("function", ["talks"], indirect=True)
+def test_what_it_prints_is_no_output_of_a_command(
+    function: OwnFunction, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """It was in the midst of what `--json` prints."""
+    assert function.answer(SEEN) == ()
+    function.close()
+    assert capfd.readouterr() == ("", "I look\n")
 
 
 @pytest.mark.parametrize("function", ["careful"], indirect=True)
