@@ -13,11 +13,13 @@ from typing import Any
 
 import pytest
 import yaml
+from msgspec.structs import replace
 
 from benchmarks.dashboard import FRAMES
+from benchmarks.synthetic import statuses
 from benchmarks.synthetic.slow_link import SlowLink
 from benchmarks.synthetic.statuses import told
-from poise.manage.control_socket.commands import StatusCommand
+from poise.manage.control_socket.commands import RobotStatus, StatusCommand
 from poise.session.keys import init_keys
 from tests.command import POISE, robot_up, run_poise
 from tests.waiting import LONG, wait_long
@@ -282,6 +284,25 @@ def test_a_page_that_gets_no_news_calls_nothing_fine_and_acts_on_nothing(
             link.rate = 0.0
             page.get_by_text("Nothing has come for").wait_for()
             assert not page.locator(".health.good, .fine, .tasks").count()
+        page.goto("about:blank")
+
+
+def test_nothing_is_said_of_what_a_lost_computer_runs(
+    page: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv(_IN_TEST)
+    name, known = f"lost-{os.getpid()}", statuses.status
+
+    def lost(robot: str, components: int, at: float, since: float) -> RobotStatus:
+        status = known(robot, components, at, since)
+        return replace(status, out_of_reach={"gone": since})
+
+    monkeypatch.setattr(statuses, "status", lost)
+    with dashboard(name) as address, told(name, 2):
+        page.goto(address)
+        box = page.locator('[data-computer="gone"]')
+        box.get_by_text("how it is now is not known").wait_for()
+        assert not box.get_by_text("no component runs here").count()
         page.goto("about:blank")
 
 

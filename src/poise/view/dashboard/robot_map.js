@@ -100,7 +100,7 @@ export default {
           </button>
         </li>
       </ul>
-      <p v-if="!computer.components.length" class="empty">no component runs here</p>
+      <p v-if="!computer.components.length && !computer.state" class="empty">no component runs here</p>
     </article>
   </section>
   <p class="legend"><span v-for="(says, kind) in kinds"><svg width="44" height="10" aria-hidden="true"><path d="M2 5H42"
