@@ -165,19 +165,20 @@ class CheckpointFiles:
         kept = {
             checkpoint_path(self._folder, c.name, c.epoch) for c in wanted.components
         }
-        for path in set(self._folder.glob("*.checkpoint")) - kept:
-            path.unlink(missing_ok=True)
+        with rights_of(self._account):
+            for path in set(self._folder.glob("*.checkpoint")) - kept:
+                path.unlink(missing_ok=True)
 
     def remove(self, of: Collection[tuple[str, int]]) -> None:
         """Remove those of these names and epochs; raises OSError."""
-        for name, epoch in of:
-            checkpoint_path(self._folder, name, epoch).unlink(missing_ok=True)
+        with rights_of(self._account):
+            for name, epoch in of:
+                checkpoint_path(self._folder, name, epoch).unlink(missing_ok=True)
 
     def clear(self) -> None:
         """Remove those of another start of the robot, which has the same epochs."""
         try:
-            with rights_of(self._account):
-                self.remove_all_but(_NOTHING)
+            self.remove_all_but(_NOTHING)
         except OSError as error:
             log.warning("old checkpoints in %s stay: %s", self._folder, error)
 
@@ -343,11 +344,11 @@ class DiskThread:
     def keep_only(self, wanted: Deployment) -> None:
         """Remove the checkpoints of all that is not wanted, and send the others."""
         self._checkpoints.send_only(wanted)
-        self._put("checkpoints", lambda: self._remove_all_but(wanted))
+        self._put("checkpoints", lambda: self._checkpoints.remove_all_but(wanted))
 
     def remove_checkpoints(self, of: Collection[tuple[str, int]]) -> None:
         """Remove the checkpoints of these names and epochs, if the disk is not slow."""
-        self._put(object(), lambda: self._remove(of))
+        self._put(object(), lambda: self._checkpoints.remove(of))
 
     def resend(self) -> None:
         """Send all checkpoints again: there is another manager."""
@@ -406,15 +407,7 @@ class DiskThread:
             self._note.update(None)
         with rights_of(self._account):
             forget_output(self._path)
-        self._remove_all_but(_NOTHING)
-
-    def _remove_all_but(self, wanted: Deployment) -> None:
-        with rights_of(self._account):
-            self._checkpoints.remove_all_but(wanted)
-
-    def _remove(self, of: Collection[tuple[str, int]]) -> None:
-        with rights_of(self._account):
-            self._checkpoints.remove(of)
+        self._checkpoints.remove_all_but(_NOTHING)
 
     def _use(self, request: ReadOutput | CheckpointCopy) -> Answer:
         try:
