@@ -39,7 +39,7 @@ def record(path: Path, *used: float) -> None:
         values = ComputerValues(name="left", used=cores)
         link = LinkValues(name="left-right", bandwidth=float("inf"))
         seen = Seen(at=1000 + number / 5, computers=(values,), links=(link,))
-        recorder.add_seen(seen)
+        recorder.add(seen)
     recorder.close()
 
 

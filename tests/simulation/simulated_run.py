@@ -472,4 +472,4 @@ def _told(
 
 
 def _lost(manager: SimulatedManager) -> frozenset[str]:
-    return manager.manager.lost() if manager.manager else frozenset()
+    return manager.manager.lost.computers() if manager.manager else frozenset()

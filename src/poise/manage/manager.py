@@ -122,15 +122,15 @@ class Manager:
             live.journal, others=[each for each in others if each is not None]
         )
         self.failures = ThreadFailures(live.journal)
-        self._lost = LostComputers(live)
-        self._reader = SituationReader(live, estimates, self._lost)
+        self.lost = LostComputers(live)
+        self._reader = SituationReader(live, estimates, self.lost)
         self.tasks = TaskManager(live, tasks, self._situation)
         self._suspensions = Suspensions(live, self.tasks.now, suspended)
         if suspended:
             self._suspensions.record()
         self._prefetch = Prefetcher(live)
         self._canaries = Canaries(live)
-        keep = recording.add_seen if recording else None
+        keep = recording.add if recording else None
         self._adaptation = Adaptation(
             live, self._situation, self._suspensions, acts=adapts, keep=keep
         )
@@ -220,14 +220,6 @@ class Manager:
         if names := sorted({component.name for _, component in known}):
             yield f"the stop waits for `deactivate` and `cleanup` of {listed(names)}"
 
-    def away(self) -> frozenset[str]:
-        """Return the computers that do not obey: they may be back in a moment."""
-        return self._lost.away()
-
-    def lost(self) -> frozenset[str]:
-        """Return the computers that nobody hears."""
-        return self._lost.computers()
-
     def work(self, limit: float) -> None:
         """Carry out a command if one comes within `limit` [s]; look at the robot."""
         wait = partial(self._live.agents.wait_news, self._has_news, limit)
@@ -314,7 +306,7 @@ class Manager:
             *self._parts.deviations(),
             *self._troubles.deviations(),
             *self.failures.deviations(),
-            *self._lost.deviations(),
+            *self.lost.deviations(),
             *self._watch.deviations,
             *self._watch.code_errors.deviations(),
             *self._adaptation.deviations,
@@ -393,7 +385,7 @@ class Manager:
     def _do_or_plan(self, command: Command) -> Result | PendingMigration:
         """Do what a command asks for, but for a migration: that is returned."""
         live = self._live
-        self._lost.settle()
+        self.lost.settle()
         match command:
             case TaskCommand(verb, task, priority):
                 self.tasks.command(verb, task, priority)
@@ -471,7 +463,7 @@ class Manager:
         self._parts.run("see who manages the robot", self._raise_on_successor)
         self._parts.run("look at itself", self._troubles.check)
         self._live.reconcile()
-        self._parts.run("see which computers are lost", self._lost.note)
+        self._parts.run("see which computers are lost", self.lost.note)
         self._parts.run("watch components", self._watch.record)
 
 

@@ -256,7 +256,7 @@ def _measure(
         beside.check()
         looks()
         up.computers.raise_if_ended()
-        if lost := manager.lost():
+        if lost := manager.lost.computers():
             lost_one = min(lost)
             what = f"computer '{lost_one}' is out of reach"
             raise RunError(live.unreached().get(lost_one, what))
@@ -270,8 +270,8 @@ def _measure(
     beside.begin()
     try:
         up.watch(seconds, look, manager.tasks.is_over)
-        if manager.away():  # an agent is started again: it has counts, too
-            up.watch(UNCUT_SURELY_ENDED, look, lambda: not manager.away())
+        if manager.lost.away():  # an agent is started again: it has counts, too
+            up.watch(UNCUT_SURELY_ENDED, look, lambda: not manager.lost.away())
     except KeyboardInterrupt:
         interrupted = True
     except RunError:

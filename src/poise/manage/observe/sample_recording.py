@@ -73,16 +73,9 @@ class RecordingFile(BackgroundWriter[tuple[str, float, bytes]]):
         )
         self.start()
 
-    def add(self, sample: AgentSample) -> None:
-        """Write a sample soon."""
-        self.count += 1
-        self._add(sample)
-
-    def add_seen(self, seen: Seen) -> None:
-        """Write soon what policies saw."""
-        self._add(seen)
-
-    def _add(self, record: AgentSample | Seen) -> None:
+    def add(self, record: AgentSample | Seen) -> None:
+        """Write a sample, or what policies saw, soon."""
+        self.count += isinstance(record, AgentSample)
         topic, data = message_of(record)
         self.put((topic, self._time(), data), len(data))
 
