@@ -70,7 +70,7 @@ class EmulatedSet:
         on = self._named(computer, other)
         with self._changing() as faults:
             _raise_if_crashed(faults, on)
-            _add(faults, "cut", on)
+            _add(faults, InjectedFault(kind="cut", on=on, since=wall_time()))
             if other is None:
                 emulated_network.detach(self._network(), self._index(computer))
             else:
@@ -112,7 +112,8 @@ class EmulatedSet:
                         "bandwidth only"
                     )
             self._reshape(on, shape)
-            _add(faults, "slow", on, shape=shape)
+            now = wall_time()
+            _add(faults, InjectedFault(kind="slow", on=on, since=now, shape=shape))
 
     def heal(self, computer: str, other: str | None = None) -> None:
         """End what `cut` and `slow` did to two computers, or `cut` to one."""
@@ -134,7 +135,7 @@ class EmulatedSet:
         """Kill all processes of a computer at once, and cut its cable."""
         on = self._named(computer)
         with self._changing() as faults:
-            _add(faults, "crashed", on)
+            _add(faults, InjectedFault(kind="crashed", on=on, since=wall_time()))
             if self.layout.network is not None:
                 emulated_network.detach(self.layout.network, self._index(computer))
             processes.stop(self.computers[computer].running, ask=0.0)
@@ -148,7 +149,8 @@ class EmulatedSet:
         running = self.computers[computer].running
         with self._changing() as faults:
             _raise_if_crashed(faults, on)
-            _add(faults, "frozen agent" if agent else "frozen", on)
+            kind: FaultKind = "frozen agent" if agent else "frozen"
+            _add(faults, InjectedFault(kind=kind, on=on, since=wall_time()))
             if agent:
                 keeper = self.layout.owner.pid
                 agents = [pid for pid in running() if _is_agent(pid, keeper)]
@@ -190,8 +192,13 @@ class EmulatedSet:
             if before is not None:
                 self._end(computer, before.processes)
             if cpu:
-                pids = self._burn(computer, cpu)
-                _add(faults, "load", on, cpu=cpu, processes=pids)
+                pids, now = self._burn(computer, cpu), wall_time()
+                _add(
+                    faults,
+                    InjectedFault(
+                        kind="load", on=on, since=now, cpu=cpu, processes=pids
+                    ),
+                )
 
     def stop(self) -> None:
         """End the process that keeps the set, and wait until both are gone."""
@@ -292,28 +299,11 @@ def _drop(
     return fault
 
 
-def _add(
-    faults: list[InjectedFault],
-    kind: FaultKind,
-    on: tuple[str, ...],
-    *,
-    shape: Shape | None = None,
-    cpu: float | None = None,
-    processes: tuple[int, ...] = (),
-) -> None:
-    before = _find(faults, kind, on)
+def _add(faults: list[InjectedFault], fault: InjectedFault) -> None:
+    before = _find(faults, fault.kind, fault.on)
     if before is not None:
         raise UsageError(f"there is already: {before}; {before.way_out}")
-    faults.append(
-        InjectedFault(
-            kind=kind,
-            on=on,
-            since=wall_time(),
-            shape=shape,
-            cpu=cpu,
-            processes=processes,
-        )
-    )
+    faults.append(fault)
 
 
 def _raise_if_crashed(faults: list[InjectedFault], on: tuple[str, ...]) -> None:
