@@ -100,7 +100,7 @@ PARTS: dict[str, Callable[[Buggy], tuple[object, str]]] = {
         b.manager._live.reconciler,
         "step",
     ),
-    "see which computers are lost": lambda b: (b.manager._lost, "note"),
+    "see which computers are lost": lambda b: (b.manager.lost, "note"),
     "watch components": lambda b: (b.manager._watch, "record"),
     **{
         purpose: lambda b, n=number: (b.adaptation.responders[n], "respond")  # type: ignore[misc]
