@@ -279,6 +279,14 @@ def test_one_that_was_restarted_by_others_learns_its_action_again() -> None:
     assert rig.run.placed["seeer"].actions == placed.actions
 
 
+def test_what_may_come_next_is_told_at_once() -> None:
+    rig = Rig(robot_with(task("t", act("a", "see"), act("b", "go"))))
+    rig.manager.command("start", "t")
+    assert rig.manager.report("t").next == ("b",)
+    rig.manager.command("cancel", "t")
+    assert rig.manager.report("t").next == ()
+
+
 def test_what_no_action_needs_ends_after_its_linger() -> None:
     robot = robot_with(task("t", act("a", "see"), act("b", "go")), linger=0.0)
     rig = Rig(robot, "t")

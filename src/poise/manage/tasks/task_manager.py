@@ -106,7 +106,7 @@ class TaskManager:
 
     def likely_next(self) -> list[LikelyAction]:
         """Return what may be needed next and does not run, the most probable first."""
-        live, self._upcoming = self._live, self.tasks.next_actions()
+        live = self._live
         runs = live.placement() | self._slow.placement()
         return likely_next(self._upcoming, self._plans, runs, live.prepared())
 
@@ -416,6 +416,7 @@ class TaskManager:
 
     def _save(self) -> None:
         """Let components and the next manager know what they need, if that is new."""
+        self._upcoming = self.tasks.next_actions()
         self.reports = self._reported()
         live, saved = self._live, msgspec.msgpack.encode(self.tasks.saved)
         desired = replace(self._with_turns(), tasks=saved)
