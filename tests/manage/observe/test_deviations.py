@@ -151,6 +151,11 @@ def test_where_another_computer_is_to_be_reached_is_said(robot: Robot) -> None:
     (found,) = (each for _, each in find_unjoined(settled, layout, statuses, 5.0))
     assert found.what == what
     assert not_joined(statuses, {"x/0.0": ("a", "b")}) == [what]
+    refused = replace(end, refusal="no TLS session: certificate has expired")
+    connectors = (replace(container, connectors=(refused,)),)
+    statuses["a"] = replace(here, containers=connectors)
+    (found,) = (each for _, each in find_unjoined(settled, layout, statuses, 5.0))
+    assert found.what == f"{what}: {refused.refusal}"
 
 
 def test_an_error_of_an_agents_own_code_is_shown_with_its_part(robot: Robot) -> None:

@@ -35,6 +35,7 @@ class FakeRoute:
     """Remembers what goes over it."""
 
     UNFIT = object()
+    refusal = ""
 
     def __init__(self, *, ready: bool = True) -> None:
         self.ready = ready

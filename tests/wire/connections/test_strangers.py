@@ -13,6 +13,7 @@ import pytest
 from poise.errors import Unavailable
 from poise.session.keys import init_keys
 from poise.wire import frame
+from poise.wire.connections import opening
 from poise.wire.connections.connection import Connection
 from poise.wire.connections.opening import NAME
 from poise.wire.credentials import CERTIFICATE, PRIVATE_KEY, Credentials
@@ -79,6 +80,23 @@ def test_other_roles_and_late_keys_are_refused(
     wait_until(lambda: why in caplog.text)
     assert "container 'there': another computer is refused" in caplog.text
     assert wire.channel().request(call("ab"), LIMIT).value(NAME) == "ba"
+
+
+@encrypted
+def test_a_channel_says_why_another_computer_refuses_it(
+    wire: Wire, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of keys that do not fit, people were told to look at the firewall."""
+    wire.server().open("echo", Receiver())
+    other = init_keys("test", tmp_path / "other")
+    keys = other.issue("b", "agent", tmp_path / "b")
+    channel = wire.channel()
+    with monkeypatch.context() as patch:
+        patch.setattr(opening, "own_keys", lambda: keys)
+        wait_until(lambda: channel.try_connect() or channel.refusal)
+        assert "CERTIFICATE_VERIFY_FAILED" in channel.refusal
+    wait_until(channel.try_connect)
+    assert not channel.refusal
 
 
 @encrypted

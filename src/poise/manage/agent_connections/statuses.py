@@ -109,20 +109,20 @@ def not_joined(statuses: Statuses, between: Mapping[str, tuple[str, str]]) -> li
     `between`: the keys of those that should be -> the computers of their two ends.
     """
     sentences = [
-        unjoined(connector.name, *between[connector.key], statuses)
+        unjoined(connector, *between[connector.key], statuses)
         for connector in connectors_of(statuses)
         if not connector.ready and connector.key in between
     ]
     return [*dict.fromkeys(sentences)]
 
 
-def unjoined(name: str, source: str, target: str, statuses: Statuses) -> str:
+def unjoined(end: ConnectorStatus, source: str, target: str, statuses: Statuses) -> str:
     """Return which connector is not joined, and where that can be looked into."""
-    what = f"connector '{name}' from '{source}' does not reach '{target}'"
+    what = f"connector '{end.name}' from '{source}' does not reach '{target}'"
     status = statuses.get(target)
-    if source == target or status is None or not status.gateway:
-        return what
-    return f"{what} at {status.gateway} (TCP)"
+    if source != target and status is not None and status.gateway:
+        what += f" at {status.gateway} (TCP)"
+    return f"{what}: {end.refusal}" if end.refusal else what
 
 
 def containers_left(statuses: Statuses, computers: Iterable[str]) -> list[str]:

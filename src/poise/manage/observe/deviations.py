@@ -119,7 +119,7 @@ def find_unjoined(
     """Yield the connectors whose source does not reach its target, by name."""
     computers = {incarnation.component: incarnation.computer for incarnation in settled}
     unready = {
-        connector.name
+        connector.name: connector
         for connector in connectors_of(statuses)
         if connector.end == "source" and not connector.ready
     }
@@ -128,7 +128,7 @@ def find_unjoined(
     for connector in layout.connectors(computers):
         if (name := connector.name) in unready:
             source, target = (computers[end.component] for end in connector.between)
-            what = unjoined(name, source, target, statuses)
+            what = unjoined(unready[name], source, target, statuses)
             yield name, Deviation(what=what, computer=source, since=now)
 
 

@@ -83,6 +83,11 @@ class ChannelRoute:
         """Return whether the receiving end is there."""
         return self._channel.try_connect()
 
+    @property
+    def refusal(self) -> str:
+        """Why another computer was not reached last, if it is known."""
+        return self._channel.refusal
+
     def give_up(self) -> None:
         """Wait no more for a computer that is cut off."""
         self._channel.give_up()

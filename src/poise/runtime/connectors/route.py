@@ -27,6 +27,11 @@ class Route(Protocol):
         """Connect if needed; return at once whether the other end is there."""
         ...
 
+    @property
+    def refusal(self) -> str:
+        """Why another computer was not reached last, if it is known."""
+        ...
+
     def function(self, method: Method, sender: Sender) -> Callable[..., Any]:
         """Return the function that calls a method of the target."""
         ...
@@ -86,6 +91,11 @@ class DirectRoute:
     def try_connect(self) -> bool:
         """Return True: it is here."""
         return True
+
+    @property
+    def refusal(self) -> str:
+        """Nothing: it is here."""
+        return ""
 
     def is_calling(self) -> bool:
         """Return False: no answer can get lost here."""

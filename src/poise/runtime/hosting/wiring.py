@@ -10,6 +10,8 @@ from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 
+from msgspec import structs
+
 from poise.clock import Elapsed
 from poise.errors import RobotError, RunError, UsageError
 from poise.runtime.component.error_report import traceback_of
@@ -64,7 +66,10 @@ class OpenConnector:
             end = "both"
         spec = self.spec
         ready = is_closed or self.try_connect()
-        return self.counts.status(spec.name, spec.key, spec.kind, end, ready=ready)
+        status = self.counts.status(spec.name, spec.key, spec.kind, end, ready=ready)
+        if ready or self.route is None:
+            return status
+        return structs.replace(status, refusal=self.route.refusal)
 
 
 class Wiring:

@@ -269,7 +269,12 @@ class StateReceiver:
         give_up_at = min(deadline, time.monotonic() + CONNECT_LIMIT)
         for name, channel in self._channels.items():
             late = f"component '{name}' ({self._sources[name][0]}) is not reached"
-            poll_until(channel.try_connect, give_up_at, late)
+            try:
+                poll_until(channel.try_connect, give_up_at, late)
+            except Timeout as error:
+                if not channel.refusal:
+                    raise
+                raise Timeout(f"{late}: {channel.refusal}") from error
         is_fresh = self._runner.spec.fresh
         if self._is_same and self._runner.copies_ahead and not is_fresh:
             left = max(0.0, deadline - time.monotonic())

@@ -18,7 +18,7 @@ from pathlib import Path
 from poise.errors import CallError, Timeout, Unavailable
 from poise.wire.address import Address
 from poise.wire.connections.connection import LAST_ANSWER, Connection
-from poise.wire.connections.opening import CALLS, MESSAGES, Opening
+from poise.wire.connections.opening import CALLS, MESSAGES, NOT_HERE, Opening
 from poise.wire.frame import Frame, Pieces
 
 
@@ -135,6 +135,7 @@ class Channel:
         self._openings: dict[int, Opening] = {}
         self._is_closed = False
         self._is_lost = False
+        self._refusal = ""
         self._ordering = threading.Lock()
         self._looked_at = time.monotonic()
         self._ask_at = 0.0
@@ -150,6 +151,12 @@ class Channel:
             any(connections.is_alive() for connections in self._connections)
             or self._is_reached()
         )
+
+    @property
+    def refusal(self) -> str:
+        """Why another computer was not reached last, if it is known; empty: it was."""
+        here = self._address.gateway is None or self._refusal == NOT_HERE
+        return "" if here else self._refusal
 
     def is_calling(self) -> bool:
         """Return at once whether a call waits for its answer."""
@@ -270,12 +277,17 @@ class Channel:
 
     def _opened(self, use: int, deadline: float) -> Connection | None:
         """Return a new connection that is open before `deadline`, or None."""
-        # taken out of the table, it belongs to this thread alone
-        opening = self._openings.pop(use, None) or Opening(
-            self._connector, self._address, self._folder
-        )
-        if opening.go_on(use, deadline):
-            self._is_lost = False
+        try:
+            # taken out of the table, it belongs to this thread alone
+            opening = self._openings.pop(use, None) or Opening(
+                self._connector, self._address, self._folder
+            )
+            is_open = opening.go_on(use, deadline)
+        except CallError as error:
+            self._refusal = str(error).removeprefix(f"{self._connector}: ")
+            raise
+        if is_open:
+            self._is_lost, self._refusal = False, ""
             connection = opening.connection
             if use == MESSAGES:
                 self._begin(connection, deadline)

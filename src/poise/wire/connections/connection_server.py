@@ -28,6 +28,7 @@ from poise.wire.connections.opening import (
     EVERY,
     MESSAGES,
     NAME,
+    NOT_HERE,
     AcceptWarning,
     own_keys,
 )
@@ -228,9 +229,7 @@ class ConnectionServer:
     def _raise_if_unknown(self, connector: str) -> None:
         if connector not in self._handlers:
             # usual while a robot starts: the sender tries again
-            raise Unavailable(
-                "its other end is not here: it starts, moves or has ended"
-            )
+            raise Unavailable(NOT_HERE)
 
     def _serve_one(self, served: _ServedConnection) -> bool:
         connection, connector = served.connection, served.connector

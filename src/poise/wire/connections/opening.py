@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from poise.wire.credentials import Credentials, RenewableKeys
 
 NAME = codec(str)
+NOT_HERE = "its other end is not here: it starts, moves or has ended"
 CALLS, MESSAGES = 0, 1
 """The use of a connection: the number in the frame that names the connector."""
 ANSWER_LIMIT = LOST_AFTER

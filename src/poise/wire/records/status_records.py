@@ -74,6 +74,7 @@ class ConnectorStatus(Struct, frozen=True, kw_only=True):
     # ``both`` in one container: then all is counted once
     end: Side
     ready: bool
+    refusal: str = ""  # At the source: why the other computer is not reached, if known
     calls: int = 0
     messages: int = 0
     # What left this end over a wire, and what came to it [bytes]: at the source
