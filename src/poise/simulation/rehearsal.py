@@ -38,7 +38,7 @@ def unsettled(robot: SimulatedRobot) -> list[str]:
         for name, at in sorted(manager.live.placement().items())
         if working.get(name) != [at]
     ]
-    lost = sorted(manager.manager.lost())
+    lost = sorted(manager.manager.lost.computers())
     return misplaced + [f"the manager considers '{name}' lost" for name in lost]
 
 
