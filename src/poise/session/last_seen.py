@@ -192,13 +192,8 @@ class LastSeen:
     def _latest(self, place: Place, container: ContainerStatus) -> ContainerStatus:
         here = (name for name, at in self._places.items() if at == place)
         components = tuple(whole(list(self._stays[name].values())) for name in here)
-        ends = tuple(self._ends_at(place))
-        return replace(container, components=components, connectors=ends)
-
-    def _ends_at(self, place: Place) -> Iterator[ConnectorStatus]:
-        for at, same in self._ends.values():
-            if at == place:
-                yield from same
+        ends = (end for at, same in self._ends.values() if at == place for end in same)
+        return replace(container, components=components, connectors=tuple(ends))
 
 
 def _end_after(before: ConnectorStatus, last: ConnectorStatus) -> ConnectorStatus:

@@ -76,28 +76,25 @@ _FIRST_FREE = 32768
 class Addresses:
     """The IP addresses of a robot's computers, and who receives datagrams where.
 
+    `hosts`: IP address -> computer.
     `bound`: returns what receives at an address; None: nothing does.
     """
 
     def __init__(self) -> None:
-        self._hosts: dict[str, str] = {}
+        self.hosts: dict[str, str] = {}
         self._bound: dict[Address, SimulatedDatagrams] = {}
         self.bound = self._bound.get
         self._free = _FIRST_FREE
 
     def add(self, computer: str) -> str:
         """Return the IP address of a new computer."""
-        host = f"10.0.{len(self._hosts) // 250}.{len(self._hosts) % 250 + 1}"
-        self._hosts[host] = computer
+        host = f"10.0.{len(self.hosts) // 250}.{len(self.hosts) % 250 + 1}"
+        self.hosts[host] = computer
         return host
 
     def host_of(self, computer: str) -> str:
         """Return a computer's IP address."""
-        return next(host for host, name in self._hosts.items() if name == computer)
-
-    def computer_at(self, address: Address) -> str | None:
-        """Return the computer with an address; None: there is none."""
-        return self._hosts.get(address[0])
+        return next(host for host, name in self.hosts.items() if name == computer)
 
     def bind(self, to: SimulatedDatagrams, host: str, port: int | None) -> Address:
         """Let something receive at a port; None: at a free one."""

@@ -61,7 +61,7 @@ class ZenohNetwork:
         self, process: Process, address: tuple[str, int], limit: float
     ) -> SimpleNamespace:
         """Connect to an address, as `socket.create_connection` does."""
-        here, there = process.computer.name, self.addresses.computer_at(address)
+        here, there = process.computer.name, self.addresses.hosts.get(address[0])
         cut = self.network.is_cut
         if there is None or cut(here, there) or cut(there, here):
             process.scheduler.wait(limit, "a connection")

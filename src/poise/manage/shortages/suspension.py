@@ -159,7 +159,8 @@ class Suspensions:
     def due(self, now: float) -> list[Architecture]:
         """Return what may be started again, the highest priority first."""
         self._release_mended(now)
-        return [a for a in self._suspended() if self._is_due(a.name, now)]
+        stay = {name for name, (until, _) in self._stays.items() if now < until}
+        return [a for a in self._suspended() if a.name not in stay | {*self._crashed}]
 
     def doubtful(self, now: float) -> frozenset[str]:
         """Return the suspended components whose last demand is believed no more."""
@@ -193,10 +194,6 @@ class Suspensions:
         is_first = now - until >= FORGET_AFTER
         stay = max(first, FIRST / 2) if is_first else min(2 * stay, LONGEST)
         self._stays[name] = now + (first if is_first else stay), stay
-
-    def _is_due(self, name: str, now: float) -> bool:
-        is_over = now >= self._stays.get(name, (now, 0.0))[0]
-        return is_over and name not in self._crashed
 
     def _release_mended(self, now: float) -> None:
         """Look, now and then, whether the code of what crashed is another."""

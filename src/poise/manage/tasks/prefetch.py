@@ -183,7 +183,8 @@ class Prefetcher:
         if situation == self._chosen_for and now < self._chosen_at + LOOK_EVERY:
             return
         self._chosen_at = now
-        likely = [action for action in likely if not self._is_backed_off(action)]
+        off = {name for name, until in self._backed_off.items() if now < until}
+        likely = [action for action in likely if off.isdisjoint(action.placement)]
         cpu = self._cpu_left(placement, loads())
         held = self._live.prepared()
         choice = choose(self._live.robot, placement, likely, cpu=cpu, held=held)
@@ -347,10 +348,6 @@ class Prefetcher:
 
     def _container(self, incarnation: Incarnation) -> tuple[str, str]:
         return incarnation.computer, self._live.layout.container_of(incarnation)
-
-    def _is_backed_off(self, action: LikelyAction) -> bool:
-        now = self._clock()
-        return any(now < self._backed_off.get(name, now) for name in action.placement)
 
 
 def _named(action: str, task: str) -> str:

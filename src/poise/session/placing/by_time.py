@@ -159,7 +159,10 @@ def _better(
     `seen`: the placements that were simulated; `most`: how many that may be.
     """
     total = _total(here)
-    near = sorted(_neighbours(here.task_result, late), key=_promised)
+    near = sorted(
+        _neighbours(here.task_result, late),
+        key=lambda result: inf if result.total is None else result.total,
+    )
     new = (result for result in near if _placed(result) not in seen)
     for result in islice(new, min(_NEAR, most - len(seen))):
         seen.append(_placed(result))
@@ -167,10 +170,6 @@ def _better(
         if _total(found) < total - _ROUNDING:
             return found
     return None
-
-
-def _promised(result: plan.TaskResult) -> float:
-    return inf if result.total is None else result.total
 
 
 def _neighbours(
@@ -390,7 +389,7 @@ def _fitted_limits(
         summed[each.name] for each in result.problem.time_limits if each.name in ages
     ]
     seconds = _seconds(result, limits)
-    hops = _seconds(result, [_without_runs(each) for each in limits])
+    hops = _seconds(result, [replace(each, runs=()) for each in limits])
     for each in limits:
         name, age = each.name, ages[each.name]
         own = sum(run.seconds for run in each.runs)
@@ -402,10 +401,6 @@ def _fitted_limits(
             yield replace(each, fixed=waits, runs=tuple(runs))
         else:
             yield replace(each, fixed=max(0.0, age - seconds[name]))
-
-
-def _without_runs(limit: TimeLimit) -> TimeLimit:
-    return replace(limit, runs=tuple(replace(run, seconds=0.0) for run in limit.runs))
 
 
 def _seconds(result: plan.Result, limits: Iterable[TimeLimit]) -> dict[str, float]:

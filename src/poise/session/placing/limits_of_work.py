@@ -101,7 +101,9 @@ class _Paths:
             return
         slot = self._slot_of(connector)
         if connector.between[0].component == component:  # it publishes or calls
-            yield from (h for h in _handlers(model) if _sends(h, slot))
+            for handler in _handlers(model):
+                if slot in handler.calls or slot in (handler.publishes or {}):
+                    yield handler
         else:
             found = model.takes.get(slot) or model.serves.get(slot)
             yield found or model.other
@@ -111,7 +113,3 @@ def _handlers(model: ComponentModel) -> Iterator[HandlerModel]:
     yield from (timer.handler for timer in model.timers)
     yield from model.takes.values()
     yield from model.serves.values()
-
-
-def _sends(handler: HandlerModel, slot: str) -> bool:
-    return slot in handler.calls or slot in (handler.publishes or {})

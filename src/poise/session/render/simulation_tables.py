@@ -15,10 +15,8 @@ from poise.session.render.picture import bar_row
 from poise.session.render.report_page import Mark, document, html_table, over_time
 from poise.session.render.tables import table
 from poise.simulation.simulation_report import (
-    Outage,
     SimulatedEvent,
     SimulatedLoad,
-    SimulatedMove,
     SimulationReport,
     TimerMisses,
 )
@@ -113,11 +111,6 @@ def share(part: int, whole: int) -> float:
     return part / whole if whole else 0.0
 
 
-def used_cpu(loads: Sequence[SimulatedLoad]) -> str:
-    """Return the mean CPU of each computer and its peak."""
-    return ", ".join(f"{c.computer} {c.cpu:.0%} ({c.peak:.0%})" for c in loads)
-
-
 def comparison_parts(
     results: Mapping[str, SimulationReport], without: Mapping[str, str]
 ) -> Iterator[RenderableType]:
@@ -157,7 +150,7 @@ def compared(method: str, report: SimulationReport) -> tuple[str, ...]:
     return (
         method,
         f"{share(report.missed, report.due):.2%}" if report.due else "",
-        used_cpu(report.loads),
+        ", ".join(f"{c.computer} {c.cpu:.0%} ({c.peak:.0%})" for c in report.loads),
         f"{share(old, uses):.2%}" if uses else "",
         str(len(report.moves)),
         str(len(report.outages)),
@@ -247,28 +240,21 @@ def _faults(report: SimulationReport) -> Iterator[str]:
 
 def _moves(report: SimulationReport) -> Iterator[RenderableType]:
     rows = table("at", "component", "from", "to", "how", "downtime", "why", folds=6)
-    for each in report.moves[:MOST_ROWS]:
-        rows.add_row(*map(escape, move_cells(each)))
+    for move in report.moves[:MOST_ROWS]:
+        where = move.component, move.before, move.after, move.kind
+        cells = span(move.at), *where, format_seconds(move.downtime), move.why
+        rows.add_row(*map(escape, cells))
     yield from _rows(rows, len(report.moves), "move")
-
-
-def move_cells(move: SimulatedMove) -> tuple[str, ...]:
-    """Return when what moved from where to where, how, for how long, and why."""
-    where = move.component, move.before, move.after, move.kind
-    return span(move.at), *where, format_seconds(move.downtime), move.why
 
 
 def _outages(report: SimulationReport) -> Iterator[RenderableType]:
     rows = table("at", "function that stopped", "for", "components", folds=3)
-    for each in report.outages[:MOST_ROWS]:
-        rows.add_row(*map(escape, outage_cells(each)))
+    for outage in report.outages[:MOST_ROWS]:
+        lasts = format_seconds(outage.lasts) + ("" if outage.over else ", to the end")
+        components = ", ".join(outage.components)
+        cells = span(outage.at), outage.function, lasts, components
+        rows.add_row(*map(escape, cells))
     yield from _rows(rows, len(report.outages), "outage")
-
-
-def outage_cells(outage: Outage) -> tuple[str, ...]:
-    """Return when which function stopped, for how long, and by which components."""
-    lasts = format_seconds(outage.lasts) + ("" if outage.over else ", to the end")
-    return span(outage.at), outage.function, lasts, ", ".join(outage.components)
 
 
 def _messages(report: SimulationReport) -> str:

@@ -83,7 +83,9 @@ def import_robot(
         ) from error
     graph = observe(seconds)
     if not graph.processes:
-        raise RunError(_none_is_here(graph.elsewhere))
+        nodes = [f"{name}: {why}" for name, why in sorted(graph.elsewhere.items())]
+        text = "there is no node here that can be imported"
+        raise RunError("\n".join([text, *nodes]))
     here = WhereImported(
         folder=str(folder.resolve()),
         environment=relevant(os.environ),
@@ -92,12 +94,6 @@ def import_robot(
     )
     machines = {HERE: hardware_keys(graph), **(computers or {})}
     return ImportedRobot(RobotText(graph, name, machines, here).write(), graph)
-
-
-def _none_is_here(elsewhere: Mapping[str, str]) -> str:
-    """Return what is wrong when no node's process is known, and why that is."""
-    nodes = [f"{name}: {why}" for name, why in sorted(elsewhere.items())]
-    return "\n".join(("there is no node here that can be imported", *nodes))
 
 
 _SHARE, _FEWEST = 0.8, 5
