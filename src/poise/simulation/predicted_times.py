@@ -114,7 +114,7 @@ class PlacedComponents:
                 for component in spec.components:
                     model = work.models.get(component.name, _USUAL)
                     executor = container.add(
-                        (component.name, component.epoch),
+                        component.key,
                         0,
                         model.made_in(engine, component.name, devices),
                         [(c.name, c.is_first, c.deadline) for c in component.chains],

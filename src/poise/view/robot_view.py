@@ -236,9 +236,9 @@ def _components_since(
     past, unknown = dict(containers(before)), now.not_known()
     for key, container in containers(now):
         first, seconds = _since(past.get(key), container)
-        earlier = {(each.name, each.epoch): each for each in first.components}
+        earlier = {each.key: each for each in first.components}
         for component in container.components:
-            was = earlier.get((component.name, component.epoch))
+            was = earlier.get(component.key)
             is_known = was is not None and key.computer not in unknown
             span = seconds if is_known else None
             yield key.computer, component, was or component, span

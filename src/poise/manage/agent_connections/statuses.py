@@ -91,7 +91,7 @@ def not_at_goals(
     wanted: Iterable[Incarnation], statuses: Statuses, silent: Iterable[str]
 ) -> list[str]:
     """Return what is not yet in the state that is wanted, in words."""
-    states = {(c.name, c.epoch): c.state for c in components_of(statuses)}
+    states = {c.key: c.state for c in components_of(statuses)}
     found = [f"computer '{name}' is silent" for name in sorted(silent)]
     found += [
         f"component '{incarnation.component}' on '{incarnation.computer}' is "

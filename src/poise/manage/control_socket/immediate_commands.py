@@ -142,7 +142,7 @@ def _place(live: LiveRobot, name: str) -> tuple[str, str]:
     statuses = live.agents.statuses()
     here = {c: s for c, s in statuses.items() if c == placed.computer}
     for component in components_of(here):
-        if (component.name, component.epoch) == (name, placed.epoch):
+        if component.key == (name, placed.epoch):
             is_active = component.state == "active"
             return placed.computer if is_active else "", f"it is {component.state}"
     return "", f"component '{name}' does not run on '{placed.computer}' yet"

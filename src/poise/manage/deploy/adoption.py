@@ -42,7 +42,7 @@ class ReportedIncarnation(Struct, frozen=True, kw_only=True):
     @property
     def key(self) -> tuple[str, int]:
         """Component and epoch, which tell it from all others."""
-        return self.spec.name, self.spec.epoch
+        return self.spec.key
 
     @property
     def goal(self) -> Goal:

@@ -317,7 +317,7 @@ class DesiredState:
 
         Such an agent, as one after a boot, has removed those that were in its folder.
         """
-        known = {(c.name, c.epoch) for c in deployment.components}
+        known = {c.key for c in deployment.components}
         copies = [
             self.agents.checkpoints.get(*placed.key)
             for placed in self.placed.values()

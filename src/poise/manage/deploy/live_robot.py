@@ -328,15 +328,12 @@ class LiveRobot(DesiredState):
     def reported(self, wanted: Incarnation) -> ComponentStatus | None:
         """Return what is known of an incarnation; None: nothing."""
         components = components_of(self.current())
-        return next((c for c in components if (c.name, c.epoch) == wanted.key), None)
+        return next((c for c in components if c.key == wanted.key), None)
 
     def coming_to_rest(self) -> list[Incarnation]:
         """Return what should be idle and is still active; from any thread."""
-        active = {
-            (component.name, component.epoch)
-            for component in components_of(self.current())
-            if component.state == "active"
-        }
+        now = components_of(self.current())
+        active = {c.key for c in now if c.state == "active"}
         away = self.agents.out_of_reach()
         return [
             idle
@@ -468,7 +465,7 @@ class LiveRobot(DesiredState):
         wanted = (*self.desired.placed.values(), *self.desired.coming)
         judged = {incarnation.key for incarnation in wanted}
         for computer, component in located(self.agents.statuses()):
-            is_judged = (component.name, component.epoch) in judged
+            is_judged = component.key in judged
             if component.state == "failed" and is_judged:
                 why = DoesNotStart(component.name, component.error, f" on '{computer}'")
                 self.journal.note("failed", str(why).partition(":\n")[0])
@@ -481,7 +478,7 @@ class LiveRobot(DesiredState):
             raise RunError("; ".join(stuck))
         where = {incarnation.key: incarnation.computer for incarnation in incarnations}
         for component in components_of(self.current()):
-            computer = where.get((component.name, component.epoch))
+            computer = where.get(component.key)
             if computer is not None and component.state == "failed":
                 raise RunError(
                     f"component '{component.name}' cannot be configured on "

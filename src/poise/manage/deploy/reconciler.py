@@ -209,7 +209,7 @@ class JoiningComputer:
             for container in deployment.containers
             if (
                 targets := {
-                    (component.name, component.epoch)
+                    component.key
                     for component in container.components
                     if component.goal == "inactive" and not component.held
                 }

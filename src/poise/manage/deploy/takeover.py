@@ -229,9 +229,7 @@ def _with_only(known: Collection[tuple[str, int]], found: Deployment) -> Deploym
     containers = (
         structs.replace(
             container,
-            components=tuple(
-                c for c in container.components if (c.name, c.epoch) in known
-            ),
+            components=tuple(c for c in container.components if c.key in known),
         )
         for container in found.containers
     )

@@ -70,7 +70,7 @@ class Stall:
         """Return whether one is being started, imported or configured."""
         current, container_of = self._live.current(), self._live.layout.container_of
         places = {(w.computer, container_of(w)) for w in wanted}
-        states = {(c.name, c.epoch): c.state for c in components_of(current)}
+        states = {c.key: c.state for c in components_of(current)}
         return any(states.get(w.key) == "unconfigured" for w in wanted) or any(
             health.state == "starting" and (computer, health.name) in places
             for computer, status in current.items()
@@ -180,7 +180,7 @@ class PendingMigration:
             if not self._live.agents.heartbeats.is_sure(computer)
         ]
         resting = (
-            self._sources.get((component.name, component.epoch))
+            self._sources.get(component.key)
             for component in components_of(self._live.agents.statuses())
             if component.state == "inactive" and component.name in self._live.placed
         )

@@ -138,7 +138,7 @@ def _of_components(
     status: AgentStatus,
     now: float,
 ) -> Iterator[Deviation]:
-    there = {(c.name, c.epoch): c for c in status.components}
+    there = {c.key: c for c in status.components}
     health = {health.name: health for health in status.health}
     for incarnation in settled:
         reported = there.get(incarnation.key)

@@ -166,7 +166,7 @@ class Watch:
             for deviation in self.deviations
             if deviation.component in live.placed
         }
-        states = {(c.name, c.epoch): c.state for c in components_of(statuses)}
+        states = {c.key: c.state for c in components_of(statuses)}
         starting = {
             (each.computer, live.layout.container_of(each))
             for each in live.desired.incarnations()

@@ -322,14 +322,10 @@ class Prefetcher:
             for health in statuses[key[0]].health
             if health.name == key[1]
         }
-        ready = [
-            component
-            for component in components_of(statuses)
-            if (component.name, component.epoch) in self._begun.keys() - self._ready
-            and component.state == "inactive"
-        ]
+        idle = [c for c in components_of(statuses) if c.state == "inactive"]
+        ready = [c for c in idle if c.key in self._begun.keys() - self._ready]
         if ready:
-            self._ready |= {(component.name, component.epoch) for component in ready}
+            self._ready |= {component.key for component in ready}
             seconds = max(component.start for component in ready)
             names = _list([component.name for component in ready])
             live.journal.note("done", f"{names} prepared within {seconds:.2f} s")

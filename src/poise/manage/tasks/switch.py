@@ -255,7 +255,7 @@ def _wait_until_configured(live: LiveRobot, new: Collection[Incarnation]) -> Non
 def _raise_on_failed(live: LiveRobot, wanted: Iterable[Incarnation]) -> None:
     mine = {incarnation.key for incarnation in wanted}
     for component in components_of(live.agents.statuses()) if mine else ():
-        if (component.name, component.epoch) in mine and component.state == "failed":
+        if component.key in mine and component.state == "failed":
             raise DoesNotStart(component.name, component.error)
 
 

@@ -154,9 +154,7 @@ class CheckpointFiles:
 
     def send_only(self, wanted: Deployment) -> None:
         """Send the checkpoints of what is wanted from now on."""
-        self._wanted = tuple(
-            (c.name, c.epoch) for c in wanted.components if c.checkpoint
-        )
+        self._wanted = tuple(c.key for c in wanted.components if c.checkpoint)
         if self._wanted:
             self._has_work.set()
 

@@ -325,7 +325,7 @@ class Container:
         """
         folder = folder_of(spec)
         search_also(spec.repository)
-        wanted = {(c.name, c.epoch): c for c in spec.components}
+        wanted = {c.key: c for c in spec.components}
         for key, (tried, _) in list(self._broken.items()):
             now = wanted.get(key)
             if now is None or (tried and structs.replace(tried, goal=now.goal) != now):
@@ -401,7 +401,7 @@ class Container:
 
     def _start(self, spec: ComponentSpec, runner: Runner) -> None:
         """Start a component; RuntimeError: no thread is free."""
-        key = spec.name, spec.epoch
+        key = spec.key
         runner.lease = self._lease if spec.leased else None
         if spec.checkpoint:
             runner.checkpoints = Checkpoints(

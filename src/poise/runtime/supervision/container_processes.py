@@ -77,11 +77,8 @@ class ContainerProcess:
             return False
         if self.status is None:  # one that was adopted may run anything
             return not self.is_adopted
-        known = {(component.name, component.epoch) for component in wanted.components}
-        return all(
-            (component.name, component.epoch) in known
-            for component in self._components()
-        )
+        known = {component.key for component in wanted.components}
+        return all(component.key in known for component in self._components())
 
     def close(self) -> None:
         """Let go of what leads to it."""
@@ -137,18 +134,18 @@ class ContainerProcess:
 
     def incarnations(self) -> set[tuple[str, int]]:
         """Return the name and epoch of what it runs or ran last, as far as known."""
-        told = {(c.name, c.epoch) for c in self.spec.components}
-        return told | {(c.name, c.epoch) for c in self._components()}
+        told = {c.key for c in self.spec.components}
+        return told | {c.key for c in self._components()}
 
     def leased_at_work(self, since: float) -> list[str]:
         """Return the leased components that it has said since then [s] are active."""
         if self.status is None or self.status.at < since:
             return []
-        leased = {(c.name, c.epoch) for c in self.spec.components if c.leased}
+        leased = {c.key for c in self.spec.components if c.leased}
         return sorted(
             c.name
             for c in self._components()
-            if c.state == "active" and (c.name, c.epoch) in leased
+            if c.state == "active" and c.key in leased
         )
 
     def keep_limits(self, now: float) -> None:
@@ -197,7 +194,7 @@ class ContainerProcess:
     def loss(self, age_of: Callable[[str, int], float | None]) -> str:
         """Return what became of the states of its components, in words."""
         active = [c for c in self._components() if c.state == "active" and c.has_state]
-        ages = {c.name: age_of(c.name, c.epoch) for c in active}
+        ages = {c.name: age_of(*c.key) for c in active}
         keeping = {c.name for c in self.spec.components if c.checkpoint}
         lost = sorted(n for n, age in ages.items() if age is None and n not in keeping)
         parts = [

@@ -183,7 +183,7 @@ class Supervisor:
         name = self.name_of(pid)
         if not name or self.wanted is None:
             return set()
-        wanted = {(c.name, c.epoch) for c in self.wanted.components}
+        wanted = {c.key for c in self.wanted.components}
         return self.processes[name].incarnations() - wanted
 
     def name_of(self, pid: int) -> str:

@@ -35,7 +35,7 @@ class SimulatedComponent:
         world, process = container.world, container.process
         self.spec = spec
         self.model = world.model_of(spec.name)
-        self.key = spec.name, spec.epoch
+        self.key = spec.key
         self.container = container
         self.state: State = "unconfigured"
         self.goal: LifeCycleGoal = "inactive"

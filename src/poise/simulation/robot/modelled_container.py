@@ -175,7 +175,7 @@ class SimulatedContainer:
         self.process.after(limit, end)
 
     def _apply(self, spec: ContainerSpec) -> None:
-        wanted = {(c.name, c.epoch): c for c in spec.components}
+        wanted = {c.key: c for c in spec.components}
         self._connectors = {connector.key: connector for connector in spec.connectors}
         self.execution.connect(list(map(self.world.connector_of, spec.connectors)))
         self.is_new = not self.components

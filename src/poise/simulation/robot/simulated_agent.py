@@ -385,11 +385,9 @@ class SimulatedDisk:
 
     def keep_only(self, wanted: Deployment) -> None:
         """Remove the checkpoints of all that is not wanted, and send the others."""
-        kept = {(c.name, c.epoch) for c in wanted.components}
+        kept = {c.key for c in wanted.components}
         self._checkpoints = {k: v for k, v in self._checkpoints.items() if k in kept}
-        self._wanted = tuple(
-            (c.name, c.epoch) for c in wanted.components if c.checkpoint
-        )
+        self._wanted = tuple(c.key for c in wanted.components if c.checkpoint)
         self._send_soon()
 
     def remove_checkpoints(self, of: Collection[tuple[str, int]]) -> None:

@@ -70,6 +70,11 @@ class ComponentSpec(Struct, frozen=True, kw_only=True):
     # The actions that it is to end, the last begun last: number and name
     actions: Mapping[int, str] = {}
 
+    @property
+    def key(self) -> tuple[str, int]:
+        """Name and epoch, which tell it from all other incarnations."""
+        return self.name, self.epoch
+
 
 class ConnectorSpec(Struct, frozen=True, kw_only=True):
     """A connector that should join two ports; publisher or caller is the source."""

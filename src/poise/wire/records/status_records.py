@@ -162,6 +162,11 @@ class ComponentStatus(Struct, frozen=True, kw_only=True):
     task_requests: tuple[TaskRequest, ...] = ()  # The last ones
     measures: Mapping[str, Summary] = {}
 
+    @property
+    def key(self) -> tuple[str, int]:
+        """Name and epoch, which tell it from all other incarnations."""
+        return self.name, self.epoch
+
 
 class ContainerStatus(Struct, frozen=True, kw_only=True, tag=True, dict=True):
     """A container as it sees itself."""
