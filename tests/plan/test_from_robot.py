@@ -17,6 +17,7 @@ from poise.model.robot import (
     Robot,
     Task,
 )
+from poise.plan.problem.items import Item
 
 
 @pytest.fixture
@@ -194,3 +195,19 @@ def test_an_exclusive_device_serves_one_architecture() -> None:
     assert plan.solve(both).architectures == {"push": "kick"}
     shared = plan.problem_of(arms(exclusive=False), functions=["grasp", "push"])
     assert plan.solve(shared).architectures == {"push": "push"}
+
+
+def test_says_which_exclusive_device_is_in_the_way() -> None:
+    robot = arms(exclusive=True)
+    robot = replace(robot, architectures=robot.architectures[:2])
+    problem = plan.problem_of(robot)
+    assert plan.solve(problem).reason == (
+        "grasper, pusher use device arm, which is exclusive. It would fit with grasper "
+        "and pusher running one after the other"
+    )
+    static = plan.evaluate(problem, plan.static(robot, problem))
+    assert static.reason == "grasper and pusher use device arm, which is exclusive"
+    assert len(plan.solve(problem, fewer=True).placement) == 1
+    crowd = (Item(name=f"c{i}") for i in range(100))
+    many = replace(problem, components=(*problem.components, *crowd))
+    assert "device arm, which is exclusive" in plan.solve(many).reason

@@ -97,7 +97,13 @@ class Oracle:
 
 def is_hopeless(arrays: Arrays) -> bool:
     """Whether it clearly cannot hold."""
-    return next(_shortages(arrays), None) is not None or bool(_late(arrays))
+    is_short = next(_shortages(arrays), None) is not None
+    return is_short or bool(_late(arrays)) or any(_rivals(arrays.problem))
+
+
+def _rivals(problem: Problem) -> Iterator[tuple[str, ...]]:
+    """Yield components that an exclusive device keeps from running at once."""
+    return (users for users in problem.exclusive.values() if len(users) > 1)
 
 
 def _late(arrays: Arrays) -> dict[str, Late]:
@@ -181,7 +187,9 @@ def _infeasible_subset(
 
 
 def _hopeless(problem: Problem, arrays: Arrays) -> Iterator[Problem]:
-    """Yield parts of the problem that break a time limit of their own, by pins."""
+    """Yield parts that need an exclusive device, or by pins break a time limit."""
+    for users in _rivals(problem):
+        yield keep_components(problem, {*users})
     broken = _late(arrays)
     for limit in problem.time_limits:
         if limit.name in broken and len(limit.components) <= MOST_COMPONENTS:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from itertools import combinations, pairwise
+from itertools import pairwise
 
 from poise.errors import RobotError, UsageError
 from poise.model import robot as model
@@ -73,7 +73,8 @@ def problem_of(
         links=robot.links,
         objective=robot.objective,
         together=_within(robot.together, names),
-        apart=(*_within(robot.apart, names), *_rivals(robot, chosen)),
+        apart=_within(robot.apart, names),
+        exclusive=dict(_exclusive(robot, chosen)),
         architectures=tuple(
             Bundle(
                 name=a.name,
@@ -211,19 +212,20 @@ def _connectors(
                 )
 
 
-def _rivals(
+def _exclusive(
     robot: model.Robot, chosen: list[model.Architecture]
-) -> Iterator[tuple[str, str]]:
-    """Yield components that an exclusive device keeps from running at once."""
+) -> Iterator[tuple[str, tuple[str, ...]]]:
+    """Yield exclusive devices, and of each architecture that needs one a component."""
     for device in robot.devices:
         users = [a for a in chosen if device.exclusive and needs_device(a, device.name)]
-        for pair in combinations(users, 2):
-            if pair[0].function != pair[1].function:
-                one, two = (
+        if len({a.function for a in users}) > 1:
+            yield (
+                device.name,
+                tuple(
                     next(c.name for c in a.components if device.name in c.devices)
-                    for a in pair
-                )
-                yield one, two
+                    for a in users
+                ),
+            )
 
 
 def _time_limits(robot: model.Robot, names: set[str]) -> Iterator[TimeLimit]:

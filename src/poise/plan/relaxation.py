@@ -42,10 +42,10 @@ class Limit(NamedTuple):
     """A limit of a problem, in words.
 
     `names` are a computer and its resource (kind ``capacity``), the two ends of a
-    ``link``, a limit of ``time``, or the components that are to be ``together``,
-    ``apart`` or on certain computers ``only``. The first three kinds can be raised,
-    from `now` on; by `most`, they limit nothing any more. `advice` is what to do about
-    the others.
+    ``link``, a limit of ``time``, the components that are to be ``together``,
+    ``apart`` or on certain computers ``only``, or a device that is ``exclusive`` and
+    the components that use it. The first three kinds can be raised, from `now` on; by
+    `most`, they limit nothing any more. `advice` is what to do about the others.
     """
 
     kind: str
@@ -95,6 +95,11 @@ def relaxed(problem: Problem, raises: Raises) -> Problem:
         ),
         together=tuple(g for g in problem.together if ("together", *g) not in more),
         apart=tuple(g for g in problem.apart if ("apart", *g) not in more),
+        exclusive={
+            device: users
+            for device, users in problem.exclusive.items()
+            if ("exclusive", device, *users) not in more
+        },
         time_limits=tuple(
             replace(t, limit=_in_range(t.limit + x))
             if (x := more.get(("time", t.name)))
@@ -316,6 +321,7 @@ def limits_of(problem: Problem) -> Iterator[Limit]:
             yield Limit("time", (t.name,), text, now=t.limit, most=most)
     yield from _groups("together", problem.together, "run apart")
     yield from _groups("apart", problem.apart, "share a computer")
+    yield from _exclusive(problem)
     for c in problem.components:
         if c.only:
             why = f" ({c.why})" if c.why else ""
@@ -330,6 +336,14 @@ def _groups(
         if len(group) > 1:
             text, names = f"{kind}: {', '.join(group)}", " and ".join(group)
             yield Limit(kind, group, text, f"letting {names} {advice}")
+
+
+def _exclusive(problem: Problem) -> Iterator[Limit]:
+    for device, users in problem.exclusive.items():
+        if len(users) > 1:
+            text = f"{', '.join(users)} use device {device}, which is exclusive"
+            advice = f"{' and '.join(users)} running one after the other"
+            yield Limit("exclusive", (device, *users), text, advice)
 
 
 def _capacity(h: Computer, resource: str, total: float) -> Limit:

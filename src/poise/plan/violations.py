@@ -105,7 +105,18 @@ def _crowded(arrays: Arrays, placed: Placed) -> Iterator[str]:
     for i, j in arrays.apart:
         if placed[i] >= 0 and (i == j or placed[i] == placed[j]):
             names = f"{arrays.name(i)} and {arrays.name(j)}"
-            yield f"{names} must be apart, both are on {arrays.computer(placed[i])}"
+            if device := _shared_device(arrays, {i, j}):
+                yield f"{names} use device {device}, which is exclusive"
+            else:
+                yield f"{names} must be apart, both are on {arrays.computer(placed[i])}"
+
+
+def _shared_device(arrays: Arrays, units: set[int]) -> str | None:
+    """Return an exclusive device that all of the units use."""
+    for device, names in arrays.problem.exclusive.items():
+        if units <= {arrays.unit_of[arrays.index[name]] for name in names}:
+            return device
+    return None
 
 
 def _scattered(arrays: Arrays, placed: Placed) -> Iterator[str]:

@@ -138,6 +138,8 @@ def test_refuses_a_bandwidth_out_of_range(bandwidth: float) -> None:
         ),
         (lambda: _joined(between="ab"), "connector: between is the text 'ab'"),
         (lambda: robot(together=("ab",)), "together: a set is the text 'ab'"),
+        (lambda: robot(exclusive={"arm": ("a", "c")}), "exclusive: there is no compon"),
+        (lambda: robot(exclusive={"arm": "ab"}), "exclusive: a set is the text 'ab'"),
         (lambda: robot(apart="ab"), r"apart is the text 'ab', .* such as \['ab'\]$"),
         (lambda: _component(present="tow"), "did you mean 'two'"),
         (lambda: _joined(between=("a",)), "connector between a: it must join two"),

@@ -432,7 +432,7 @@ def _bandwidths(problem: Problem, place: dict[str, int]) -> list[float]:
 
 def _apart(problem: Problem, unit: dict[str, int]) -> list[tuple[int, int]]:
     pairs: dict[tuple[int, int], None] = {}
-    for group in problem.apart:
+    for group in (*problem.apart, *problem.exclusive.values()):
         units = [unit[name] for name in group]
         for x, i in enumerate(units):
             for j in units[x + 1 :]:

@@ -50,6 +50,7 @@ def keep_components(
         ),
         together=tuple(group(members) for members in problem.together),
         apart=tuple(group(members) for members in problem.apart),
+        exclusive={name: group(users) for name, users in problem.exclusive.items()},
         architectures=tuple(
             a for a in problem.architectures if all(n in names for n in a.components)
         ),

@@ -36,6 +36,8 @@ class Problem(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         where there is none; for time limits).
     together, apart
         Sets of components that must share a computer, or must not.
+    exclusive
+        Device -> components of which only one runs at a time, as each uses it alone.
     architectures
         Which components belong together as a function; for priorities and
         alternatives. Empty means that every component is needed.
@@ -56,6 +58,7 @@ class Problem(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     objective: Objective = Objective()
     together: tuple[tuple[str, ...], ...] = ()
     apart: tuple[tuple[str, ...], ...] = ()
+    exclusive: Mapping[str, tuple[str, ...]] = {}
     architectures: tuple[Bundle, ...] = ()
     soft_limits: tuple[SoftLimit, ...] = ()
     time_limits: tuple[TimeLimit, ...] = ()
@@ -162,12 +165,19 @@ def _lists(problem: Problem) -> Iterator[tuple[str, object]]:
     for t in problem.time_limits:
         for hop in t.hops:
             yield f"time limit {t.name!r}: a hop: between", hop.between
-    sets: dict[str, Iterable[object]]
-    sets = {"together": problem.together, "apart": problem.apart}
-    for kind, groups in sets.items():
+    for kind, groups in _sets(problem).items():
         yield kind, groups
         if not isinstance(groups, str):  # else each of its letters were a set
             yield from ((f"{kind}: a set", group) for group in groups)
+
+
+def _sets(problem: Problem) -> dict[str, Iterable[tuple[str, ...]]]:
+    """Return kind -> the sets of components that limit each other."""
+    return {
+        "together": problem.together,
+        "apart": problem.apart,
+        "exclusive": problem.exclusive.values(),
+    }
 
 
 def _twice(kind: str, names: Sequence[object]) -> Iterator[str]:
@@ -283,7 +293,7 @@ def _shown(value: float) -> str:
 
 def _groups(problem: Problem) -> Iterator[str]:
     """Yield sets in which something is there twice, and pairs that are none."""
-    for kind, groups in (("together", problem.together), ("apart", problem.apart)):
+    for kind, groups in _sets(problem).items():
         for group in groups:
             for name, count in Counter(group).items():
                 if count > 1:
@@ -318,10 +328,9 @@ def _mentions(problem: Problem) -> Iterator[tuple[str, str, tuple[str, ...]]]:
         yield f"connector {' - '.join(k.between)}", "component", k.between
     for link in problem.links:
         yield f"link {' - '.join(link.between)}", "computer", link.between
-    for group in problem.together:
-        yield "together", "component", group
-    for group in problem.apart:
-        yield "apart", "component", group
+    for kind, groups in _sets(problem).items():
+        for group in groups:
+            yield kind, "component", group
     for a in problem.architectures:
         yield f"architecture {a.name!r}", "component", a.components
     for s in problem.soft_limits:
