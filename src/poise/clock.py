@@ -28,6 +28,11 @@ def steady_wall_time() -> Callable[[], float]:
     return lambda: began + time.monotonic()
 
 
+def time_of_day(moment: float) -> str:
+    """Return a moment [s since 1970] for people: hours, minutes and seconds."""
+    return time.strftime("%H:%M:%S", time.localtime(moment))
+
+
 def boot_time() -> float:
     """Return the time [s] since this computer started, suspended or not."""
     return time.clock_gettime(time.CLOCK_BOOTTIME)

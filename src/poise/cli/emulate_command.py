@@ -13,6 +13,7 @@ from rich.markup import escape
 
 from poise.cli.main import Interrupts
 from poise.cli.options import AsJson, RobotFile, Set, arguments_of, parse_option, show
+from poise.clock import time_of_day
 from poise.emulate import EmulatedSet, InjectedFault, all_sets, find_set
 from poise.errors import UsageError
 from poise.session.launch.background_log import keep_log_small
@@ -91,7 +92,7 @@ def _lines(listed: list[ListedSet]) -> Iterator[str]:
     if not listed:
         yield "no emulated computers are kept up"
     for kept in listed:
-        since = time.strftime("%H:%M:%S", time.localtime(kept.since))
+        since = time_of_day(kept.since)
         names = ", ".join(f"{name} {at}" for name, at in kept.computers.items())
         yield f"{kept.robot}: {names}; since {since}, process {kept.process}"
         for sentence in (*(f"without {w}" for w in kept.without), *kept.faults):

@@ -22,6 +22,7 @@ from rich.markup import escape
 
 from poise.cli.options import AsJson, parse_option, print_json, running, show
 from poise.cli.running_robot_command import Robot
+from poise.clock import time_of_day
 from poise.endpoint import is_loopback
 from poise.errors import UsageError
 from poise.manage.agent_connections.statuses import connectors_of
@@ -116,7 +117,7 @@ def echo_command(
 def _as_text(at: float, value: Any, *, as_json: bool) -> str:  # noqa: ANN401, JSON's
     if as_json:
         return msgspec.json.encode({"at": at, "value": value}).decode() + "\n"
-    clock = time.strftime("%H:%M:%S", time.localtime(at))
+    clock = time_of_day(at)
     text = yaml.safe_dump(value, sort_keys=False, allow_unicode=True)
     return f"--- {clock}.{int(at % 1 * 1000):03}\n{text.removesuffix('...' + chr(10))}"
 
@@ -165,7 +166,7 @@ def log_command(
 def _log_line(line: OutputLine, *, as_json: bool) -> str:
     if as_json:
         return msgspec.json.encode(line).decode() + "\n"
-    clock = time.strftime("%H:%M:%S", time.localtime(line.at // 10**9))
+    clock = time_of_day(line.at // 10**9)
     millis = line.at // 10**6 % 1000
     text = visible(line.text, colours=sys.stdout.isatty())
     return f"{clock}.{millis:03} {line.component}@{line.computer}: {text}\n"

@@ -19,6 +19,7 @@ from typing import Literal
 import msgspec
 from msgspec import Struct
 
+from poise.clock import time_of_day
 from poise.decoding import from_json
 from poise.emulate import cgroups as cgroup_files
 from poise.emulate import emulated_network
@@ -241,7 +242,7 @@ class InjectedFault(Struct, frozen=True, kw_only=True):
     processes: tuple[int, ...] = ()
 
     def __str__(self) -> str:
-        since = time.strftime("%H:%M:%S", time.localtime(self.since))
+        since = time_of_day(self.since)
         what = f"{self.kind} {' '.join(self.on)}"
         if self.cpu is not None:
             what += f" of {self.cpu:g} cores"

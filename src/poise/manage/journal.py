@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import os
 import threading
-import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -14,7 +13,7 @@ from typing import Any, BinaryIO, Literal, get_args
 import msgspec
 from msgspec import Struct
 
-from poise.clock import wall_time
+from poise.clock import time_of_day, wall_time
 from poise.decoding import json_decoder
 from poise.errors import UsageError
 from poise.manage.background_file import BackgroundFile, numbered
@@ -63,7 +62,7 @@ class JournalEntry(Struct, frozen=True):
     def __str__(self) -> str:
         """Return time and sentence, for people."""
         try:
-            at = time.strftime("%H:%M:%S", time.localtime(self.at))
+            at = time_of_day(self.at)
         except (OverflowError, OSError, ValueError):
             at = f"{self.at:g} s"  # it is no moment
         return f"{at} {self.what}"

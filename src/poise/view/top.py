@@ -12,6 +12,7 @@ from textual.app import App, ComposeResult
 from textual.binding import Binding
 from textual.widgets import DataTable, Footer, Static
 
+from poise.clock import time_of_day
 from poise.session.running_robots.running import Status
 from poise.units import format_bytes
 from poise.view.robot_view import (
@@ -160,7 +161,7 @@ class Top(App[None]):
         self._fill("connectors", view.connectors, connector_cells)
         lines = Text()
         for entry in view.status.recent[-_MOST_LINES:]:
-            clock = time.strftime("%H:%M:%S", time.localtime(entry.at))
+            clock = time_of_day(entry.at)
             lines.append(f"{clock} {entry.what}\n", _COLOURS.get(entry.kind, ""))
         lines.rstrip()
         self.query_one("#decisions").update(lines)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from itertools import chain
 from typing import TYPE_CHECKING
 
+from poise.clock import time_of_day
 from poise.wire.records.status_records import (
     AgentStatus,
     ComponentStatus,
@@ -151,7 +151,7 @@ def unreached(
     """
     sentences = {}
     for computer, since in sorted(out_of_reach.items()):
-        began = time.strftime("%H:%M:%S", time.localtime(since))
+        began = time_of_day(since)
         sentences[computer] = (
             f"computer '{computer}' has been out of reach since {began}"
         )

@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import errno
 import socket
-import time
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
 from msgspec.structs import replace
 
-from poise.clock import SystemClock, wall_time
+from poise.clock import SystemClock, time_of_day, wall_time
 from poise.errors import RunError
 from poise.manage.agent_connections.reports import AgentReports
 from poise.manage.agent_connections.statuses import Statuses, located
@@ -171,12 +170,13 @@ def status_by_agents(
     is_gone = all(since)
     robot = addresses.robot
     if why:
-        missed = f" (its agents have missed it since {_clock(max(since))})"
+        missed = f" (its agents have missed it since {time_of_day(max(since))})"
         why += missed if is_gone else ""
     elif is_gone:
+        began = time_of_day(max(since))
         why = (
-            f"robot '{robot}' runs without a manager (since {_clock(max(since))}); "
-            "`poise up FILE` takes it over, `poise stop` ends it"
+            f"robot '{robot}' runs without a manager (since {began}); `poise up FILE` "
+            "takes it over, `poise stop` ends it"
         )
     else:
         passed_on = any(status.has_standbys for status in agents)
@@ -253,7 +253,3 @@ def _connect_error(locator: str) -> OSError | None:
     except OSError as error:
         return error
     return None
-
-
-def _clock(moment: float) -> str:
-    return time.strftime("%H:%M:%S", time.localtime(moment))

@@ -12,14 +12,13 @@ import logging
 import os
 import socket
 import threading
-import time
 from collections.abc import Callable
 from concurrent.futures import CancelledError, Future, wait
 from pathlib import Path
 from typing import Self
 
 from poise import threads
-from poise.clock import wall_time
+from poise.clock import time_of_day, wall_time
 from poise.errors import RunError, UsageError
 from poise.manage.control_socket.commands import Command, Refusal, Result, StatusCommand
 from poise.wire import frame
@@ -143,7 +142,7 @@ class ControlServer:
         """Return the result once it is there; None when the client has left."""
         is_status = isinstance(command, StatusCommand)
         if is_status and not self._is_up.wait(_START_PATIENCE):
-            since = time.strftime("%H:%M:%S", time.localtime(self._since))
+            since = time_of_day(self._since)
             text = f"robot '{self._robot}' has been starting since {since}"
             return Refusal(text, "RunError")
         while not self._is_up.wait(_LOOK_EVERY) and not _has_left(connection):

@@ -6,12 +6,14 @@ a reader of new ones remembers the numbers of those before.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator
+from collections import defaultdict, deque
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from collections.abc import Set as AbstractSet
 from typing import TYPE_CHECKING
 
 from msgspec import Struct
 
+from poise.clock import time_of_day
 from poise.errors import last_error
 from poise.manage.agent_connections.statuses import Statuses, connectors_of, unjoined
 from poise.model.hardware import Computer
@@ -20,18 +22,12 @@ from poise.wire.records.status_records import (
     AgentStatus,
     ComponentStatus,
     ContainerHealth,
+    Fault,
 )
 
 if TYPE_CHECKING:
     from poise.manage.deploy.deployment_layout import DeploymentLayout
     from poise.manage.deploy.desired import Incarnation
-
-
-import time
-from collections import defaultdict, deque
-from collections.abc import Mapping
-
-from poise.wire.records.status_records import Fault
 
 _MOSTLY = 0.88
 """A computer has at least this share of what it is sold with: the firmware and the
@@ -330,6 +326,6 @@ def combined(faults: Iterable[tuple[str, Fault]]) -> Iterator[str]:
         what = f"container '{fault.container}' on '{computer}' {fault.message}"
         kinds.setdefault(what, []).append(fault)
     for what, same in kinds.items():
-        last = time.strftime("%H:%M:%S", time.localtime(same[-1].at))
+        last = time_of_day(same[-1].at)
         times = f"{len(same)} times, last at" if len(same) > 1 else "at"
         yield f"{what} ({times} {last})"

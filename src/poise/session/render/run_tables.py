@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
@@ -13,6 +12,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from poise.clock import time_of_day
 from poise.decoding import convert
 from poise.manage.observe.deviations import combined
 from poise.session.render.tables import (
@@ -104,7 +104,7 @@ def _failures(report: RunRecord) -> Iterator[RenderableType]:
     """Yield what is not as it should be, the worst first."""
     for error in report.errors:
         many = counted(error.count, "error")
-        since = time.strftime("%H:%M:%S", time.localtime(error.first))
+        since = time_of_day(error.first)
         where = f"{error.component} on {error.computer}: {many} in '{error.where}'"
         yield f"[red]{where}, the first at {since}:[/]"
         # as it is: it may hold anything, and lines of code are not wrapped

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable, Iterator, Sequence
 
 from msgspec.structs import asdict
@@ -11,6 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from poise.clock import time_of_day
 from poise.errors import last_error
 from poise.manage.agent_connections.statuses import connectors_of, located
 from poise.manage.control_socket.commands import RobotStatus
@@ -62,7 +62,7 @@ def status_parts(status: RobotStatus) -> Iterator[RenderableType]:
             yield f"[yellow]the agent of '{computer}' obeys {report.manager}[/]"
     yield from map(Text, status.under_way)
     for each in status.deviations:
-        yield Text(f"{each.what} (noticed {_clock(each.since)})", style="red")
+        yield Text(f"{each.what} (noticed {time_of_day(each.since)})", style="red")
     unknown = status.not_known()
     if unknown:
         yield f"[red]not known how these are now: {', '.join(sorted(unknown))}[/]"
@@ -201,14 +201,14 @@ def container_lines(answer: RobotStatus) -> Iterator[str]:
                 restarts += " (counters began again then)"
             yield (
                 f"container '{health.name}' on '{computer}': {health.state} since "
-                f"{_clock(health.since)}, {restarts}; last fault at "
-                f"{_clock(fault.at)}: {fault.message}"
+                f"{time_of_day(health.since)}, {restarts}; last fault at "
+                f"{time_of_day(fault.at)}: {fault.message}"
             )
 
 
 def _notices(answer: RobotStatus) -> Iterator[str]:
     for each in answer.lost_states:
-        yield f"{each.what} ({_clock(each.since)})"
+        yield f"{each.what} ({time_of_day(each.since)})"
     if answer.notice:
         yield f"manager: {answer.notice}"
     versions = {report.version for report in answer.computers.values()}
@@ -217,10 +217,6 @@ def _notices(answer: RobotStatus) -> Iterator[str]:
             yield f"{name}: {report.notice}"
         if len(versions) > 1:
             yield f"{name}: Poise {report.version}"
-
-
-def _clock(moment: float) -> str:
-    return time.strftime("%H:%M:%S", time.localtime(moment))
 
 
 def remarks(answer: RobotStatus) -> Iterator[str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable, Iterator, Mapping
 from itertools import pairwise
 
@@ -12,6 +11,7 @@ from rich.markup import escape
 from rich.segment import Segment
 from rich.table import Table
 
+from poise.clock import time_of_day
 from poise.manage.control_socket.commands import Rebalanced
 from poise.manage.migration.migration_report import (
     MigrationReport,
@@ -206,7 +206,7 @@ def task_table(tasks: Iterable[TaskReport]) -> Table:
         rows.add_row(
             task.name,
             f"[{colour}]{task.state}[/]" if colour else task.state,
-            time.strftime("%H:%M:%S", time.localtime(task.since)),
+            time_of_day(task.since),
             str(task.priority),
             escape("\n".join(filter(None, [actions, task.why]))),
         )

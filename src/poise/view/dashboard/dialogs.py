@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import math
-import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -16,6 +15,7 @@ import msgspec
 import yaml
 from nicegui import run, ui
 
+from poise.clock import time_of_day
 from poise.errors import PoiseError, UsageError
 from poise.session.render.report_page import html_table
 from poise.session.render.tables import outcome_sentence, what_if_lines
@@ -145,7 +145,7 @@ class PageActions:
         proposal = proposal_in(facts)
         with self._place, _dialog() as dialog:
             ui.html(f"<h2>{escape(entry.what)}</h2>")
-            clock = time.strftime("%H:%M:%S", time.localtime(entry.at))
+            clock = time_of_day(entry.at)
             ui.label(f"{entry.kind} at {clock}").classes("dim")
             ui.label(why(entry) or "There are no further details.")
             for step in proposal.get("steps", ()) if proposal else ():
@@ -259,7 +259,7 @@ def _complain(error: object) -> None:
 
 
 def _log_line(line: OutputLine) -> str:
-    at = time.strftime("%H:%M:%S", time.localtime(line.at / 1e9))
+    at = time_of_day(line.at / 1e9)
     return f"{at} {line.text}"
 
 
