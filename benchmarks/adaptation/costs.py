@@ -107,7 +107,6 @@ def _overloaded(seed: int) -> Situation:
     )
     return Situation(
         robot=robot,
-        task="work",
         placement=dict(found.placement),
         loads=loads,
         demand_estimates=estimates,

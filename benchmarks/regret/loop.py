@@ -177,7 +177,6 @@ class Loop:
                 late.add(name)
         return Situation(
             robot=self.robot,
-            task="all",
             placement=self._where(),
             lost=frozenset(lost),
             loads=loads,

@@ -398,11 +398,11 @@ class Robot(Struct, frozen=True, kw_only=True):
         for name in tasks if task is None else (task,):
             yield from actions_of(tasks, name)
 
-    def functions_of(self, task: str) -> tuple[str, ...]:
-        """Return all functions that a task needs, each once, in order.
+    def functions_of(self, task: str | None = None) -> tuple[str, ...]:
+        """Return all functions that a task needs, each once, in order; None: all tasks.
 
         Those of the tasks that it names are among them, and those of actions that are
-        done on failure. None when there is no such task.
+        done on failure. There are none when there is no such task.
         """
         return tuple(dict.fromkeys(f for a in self.actions(task) for f in a.functions))
 

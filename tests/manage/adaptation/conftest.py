@@ -68,7 +68,6 @@ def situation(two: Robot) -> Make:
         }
         return Situation(
             robot=robot,
-            task="work",
             placement=placement,
             loads=loads,
             misses=tuple(

@@ -119,7 +119,6 @@ class World:
                 late.add(name)
         return Situation(
             robot=self.robot,
-            task="t",
             placement=dict(self.placement),
             loads=loads,
             misses=tuple(

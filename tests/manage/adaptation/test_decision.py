@@ -418,7 +418,6 @@ def test_what_is_undone_counts_where_something_is_suspended(two: Robot) -> None:
     found = decide(
         Situation(
             robot=robot,
-            task="work",
             placement=placement,
             demand_estimates=tuple(
                 DemandEstimate(

@@ -171,7 +171,7 @@ def test_nothing_is_missing_where_memory_is_enough(seed: int) -> None:
     before = next(filter(fits, placements(("x", "y", "z"))), None)
     if before is None:
         return
-    now = Situation(robot=robot, task="work", placement=before, lost=frozenset("x"))
+    now = Situation(robot=robot, placement=before, lost=frozenset("x"))
     found = plan_failover(now, {"x"})
     if not any(map(fits, placements(("y", "z")))):
         assert found.missing

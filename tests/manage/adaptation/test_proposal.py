@@ -76,9 +76,7 @@ def standing(
 def proposed(
     robot: Robot, now: Mapping[str, str], needs: Iterable[DemandEstimate], move: float
 ) -> Proposal:
-    situation = Situation(
-        robot=robot, task="work", placement=now, demand_estimates=tuple(needs)
-    )
+    situation = Situation(robot=robot, placement=now, demand_estimates=tuple(needs))
     return propose(situation, move)
 
 
@@ -174,7 +172,7 @@ def test_what_fits_nowhere_is_said(robot: Robot) -> None:
         large,
         computers=(replace(robot.computers[0], capacity={"cpu": 2.0, "memory": 1e9}),),
     )
-    with pytest.raises(RobotError, match=r"'work' has no placement any more: ") as said:
+    with pytest.raises(RobotError, match="has no placement any more: ") as said:
         proposed(crowded, NOW, needy, 0.01)
     assert "mind needs 60.0% ± 1.0% of a core now" in str(said.value)
 

@@ -25,7 +25,7 @@ def test_of_alternatives_that_two_tasks_planned_with_one_begins() -> None:
             for name in ("one", "other")
         ),
     )
-    situation = Situation(robot=robot, task="", placement={})
+    situation = Situation(robot=robot, placement={})
     planned = {"one-eye": "x", "other-eye": "x"}
     room = room_for_functions(situation, ["see"], planned)
     assert (room.begins, room.why) == ({"one-eye": "x"}, "")
@@ -45,7 +45,6 @@ def test_without_any_computer_there_is_no_room() -> None:
     )
     situation = Situation(
         robot=robot,
-        task="",
         placement={"eye": "x"},
         lost=frozenset("x"),
         demand_estimates=(estimate,),
@@ -68,6 +67,6 @@ def test_what_was_to_run_on_a_lost_computer_begins_on_another(
         ),
         architectures=(Architecture(name="see", function="see", components=(eye,)),),
     )
-    situation = Situation(robot=robot, task="", placement={}, lost=frozenset("x"))
+    situation = Situation(robot=robot, placement={}, lost=frozenset("x"))
     room = room_for_functions(situation, ["see"], planned)
     assert (room.begins, room.why) == ({"eye": "y"}, "")

@@ -169,10 +169,8 @@ class Rig:
         self.manager.advance()
 
     def _situation(self) -> Situation:
-        now = self.manager.now()
         return Situation(
-            robot=replace(self.robot, tasks=(now,)),
-            task=now.name,
+            robot=replace(self.robot, tasks=self.manager.now()),
             placement=self.run.placement(),
             lost=frozenset(self.agents.gone),
             loads=self.loads,
@@ -444,7 +442,7 @@ def test_what_takes_long_to_be_configured_holds_nothing_else_up(
     assert rig.active() == {"sayer"}
     assert not rig.manager.has_news()
     now = rig.manager.now()
-    assert replace(rig.robot, tasks=(now,)).functions_of(now.name) == ("say",)
+    assert replace(rig.robot, tasks=now).functions_of() == ("say",)
     (begun,) = rig.run.desired.configured_ahead
     rig.agents.configure("goer")
     assert rig.manager.has_news()
@@ -527,10 +525,10 @@ def test_what_is_done_on_failure_is_not_needed_before() -> None:
     robot = robot_with(task("t", act("a", "see", on_failure=act("b", "go"))))
     rig = Rig(robot, "t")
     now = rig.manager.now()
-    assert replace(robot, tasks=(now,)).functions_of(now.name) == ("see",)
+    assert replace(robot, tasks=now).functions_of() == ("see",)
     rig.end("seeer", done=False)
     now = rig.manager.now()
-    assert replace(robot, tasks=(now,)).functions_of(now.name) == ("go",)
+    assert replace(robot, tasks=now).functions_of() == ("go",)
 
 
 def test_what_rests_gives_way_when_its_memory_is_needed() -> None:

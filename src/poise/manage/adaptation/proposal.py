@@ -194,7 +194,7 @@ def propose(
     Raises RobotError: the task fits nowhere with these demands, or there is no way to
     the placement.
     """
-    task, now = situation.task, situation.placement
+    now = situation.placement
     shifted, robot = situation.shifted, situation.robot_now
     functions = situation.functions()
     problem = plan.problem_of(robot, functions=functions, present=now, move=move)
@@ -214,7 +214,7 @@ def propose(
             explain(result)
         needs = "".join(f"; {name} needs {demand}" for name, demand in shifted.items())
         raise RobotError(
-            f"task '{task}' has no placement any more: {result.reason}{needs}"
+            f"robot '{robot.name}' has no placement any more: {result.reason}{needs}"
         )
     present = plan.evaluate(problem, now)
     assert present.objective is not None  # noqa: S101, a given placement has terms

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from functools import cached_property
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from msgspec import Struct
 from msgspec.structs import replace
@@ -35,11 +36,17 @@ _CAUTIOUS = 1.5
 """What they may want later, likewise."""
 
 
+class Stopped(NamedTuple):
+    """The tasks that lack a function that they need, and what no other task uses."""
+
+    tasks: Sequence[Task]
+    functions: AbstractSet[str]
+
+
 class Situation(Struct, frozen=True, kw_only=True, dict=True):
     """One moment of a running robot."""
 
-    robot: Robot  # with the demands that it was placed by
-    task: str
+    robot: Robot  # with what runs of its tasks, and the demands that it was placed by
     placement: Mapping[str, str]  # component -> computer
     lost: frozenset[str] = frozenset()  # the computers that nobody hears
     # those out of reach of the manager, also where components go on
@@ -127,9 +134,19 @@ class Situation(Struct, frozen=True, kw_only=True, dict=True):
         )
 
     def functions(self) -> tuple[str, ...]:
-        """Return the functions of the task, without those that nothing provides."""
+        """Return the functions of its tasks, without those that nothing provides."""
         provided = {each.function for each in self.robot.architectures}
-        return tuple(f for f in self.robot.functions_of(self.task) if f in provided)
+        return tuple(f for f in self.robot.functions_of() if f in provided)
+
+    def stopped(self, missing: Collection[str]) -> Stopped:
+        """Return what stops when functions are missing."""
+        tasks = [t for t in self.robot.tasks if not {*t.needs}.isdisjoint(missing)]
+        others = replace(
+            self.robot, tasks=tuple(t for t in self.robot.tasks if t not in tasks)
+        )
+        robot = replace(self.robot, tasks=tuple(tasks))
+        functions = {*robot.functions_of()} - {*others.functions_of()}
+        return Stopped(tasks, functions)
 
     def computers_left(self, *, is_cautious: bool = False) -> tuple[Computer, ...]:
         """Return the computers with what other programs leave of their CPU."""
@@ -178,15 +195,14 @@ class SituationReader:
         self._misses = DeadlineMisses()
         self._chains, self._ages = ChainReader(live.robot), ChainAges()
 
-    def read(self, task: Task) -> Situation:
-        """Return the situation now, while `task` runs."""
+    def read(self, tasks: tuple[Task, ...]) -> Situation:
+        """Return the situation now, while `tasks` run."""
         live, moment = self._live, time.monotonic()
         statuses = live.current()
         held = live.desired.held
         placement = {n: at for n, at in live.placement().items() if n not in held}
         return Situation(
-            robot=replace(live.robot, tasks=(task,)),
-            task=task.name,
+            robot=replace(live.robot, tasks=tasks),
             placement=placement,
             lost=self._lost.computers(),
             away=frozenset(live.agents.out_of_reach()),

@@ -292,7 +292,7 @@ def _at_work(
             else:
                 homes[name] = tuple(sorted(may))
     situation = Situation(
-        robot=live.robot, task="", placement=wanted, solve_steps=live.solve_steps
+        robot=live.robot, placement=wanted, solve_steps=live.solve_steps
     )
     with contextlib.suppress(RobotError):  # what is lacking can run nowhere
         return {

@@ -47,13 +47,13 @@ class Suspensions:
     """What a robot's task needs, but does not run. Times are those of one clock [s]."""
 
     def __init__(
-        self, live: LiveRobot, task: Callable[[], Task], why: str = ""
+        self, live: LiveRobot, tasks: Callable[[], tuple[Task, ...]], why: str = ""
     ) -> None:
         self._live = live
-        self._task = task
+        self._tasks = tasks
         self._why = why
         self._known: dict[str, Deviation] = {}
-        self._inputs: tuple[Robot, AbstractSet[str], Task] | None = None
+        self._inputs: tuple[Robot, AbstractSet[str], tuple[Task, ...]] | None = None
         self._not_running: list[Architecture] = []
         self._stays: dict[str, tuple[float, float]] = {}
         self._crashed: dict[str, str] = {}
@@ -213,12 +213,11 @@ class Suspensions:
 
     def _suspended(self) -> list[Architecture]:
         """Return what does not run; worked out when what that depends on changes."""
-        inputs = self._live.robot, self._live.placed.keys(), self._task()
+        inputs = self._live.robot, self._live.placed.keys(), self._tasks()
         if inputs != self._inputs:
-            robot, placed, task = inputs
-            self._inputs = robot, frozenset(placed), task
-            robot = structs.replace(robot, tasks=(task,))
-            self._not_running = not_running(robot, task.name, placed)
+            robot, placed, tasks = inputs
+            self._inputs = robot, frozenset(placed), tasks
+            self._not_running = not_running(structs.replace(robot, tasks=tasks), placed)
         return self._not_running
 
     def _add(self, name: str, why: str) -> None:
@@ -230,13 +229,13 @@ class Suspensions:
             self._live.journal.note("wrong", what)
 
 
-def not_running(robot: Robot, task: str, placed: Iterable[str]) -> list[Architecture]:
-    """Return what a task needs and does not run, the highest priority first.
+def not_running(robot: Robot, placed: Iterable[str]) -> list[Architecture]:
+    """Return what its tasks need and does not run, the highest priority first.
 
     Of alternatives all are listed, the best one first.
     """
     there = set(placed)
-    functions = {*robot.functions_of(task)}
+    functions = {*robot.functions_of()}
     running = {
         a.function
         for a in robot.architectures
@@ -262,23 +261,19 @@ class NeededFunctions:
 
         What comes back within moments, as by a fail-over, does not count.
         """
-        missing, task = missing_functions(situation), situation.task
-        used = situation.robot.functions_of(task)
-        needed = {n for t in situation.robot.tasks if t.name == task for n in t.needs}
-        if needed & self._said.keys() & missing:  # it has stopped the others
-            missing = (missing & needed) | self._said.keys() & missing
+        missing, tasks = missing_functions(situation), situation.robot.tasks
+        needed = {name for task in tasks for name in task.needs}
+        stopped = situation.stopped(self._said.keys() & missing).functions
+        missing -= stopped - needed - self._said.keys()
         self._since = {name: self._since.get(name, now) for name in missing}
         for name in sorted(self._said.keys() - missing):
             del self._said[name]
-            text = f"function '{name}' is not used any more"
-            if name in used:
-                text = f"function '{name}' of task '{task}' is back"
-            self._journal.note("right", text)
+            is_used = name in situation.robot.functions_of()
+            how = "is back" if is_used else "is not used any more"
+            self._journal.note("right", f"function '{name}' {how}")
         lasting = {n for n, since in self._since.items() if now - since >= LASTS}
         for name in sorted(lasting - self._said.keys()):
-            what = f"task '{task}' goes on without function '{name}'"
-            if name in needed:
-                what = lacking(task, {name})
+            what = _missing(situation.robot, name)
             self._said[name] = Deviation(what=what, computer="", since=wall_time())
             self._journal.note("wrong", what)
         return lasting & needed
@@ -288,18 +283,32 @@ class NeededFunctions:
         return tuple(self._said.copy().values())
 
 
-def lacking(task: str, functions: Iterable[str]) -> str:
-    """Return why a task stops, for people."""
-    names = sorted(functions)
-    are = "is" if len(names) == 1 else "are"
-    return f"task '{task}' needs {named('function', names)}, which {are} missing"
+def _missing(robot: Robot, function: str) -> str:
+    """Return which tasks stop without a function or, if none does, which go on."""
+    if any(function in task.needs for task in robot.tasks):
+        return lacking(robot.tasks, {function})
+    tasks = [t.name for t in robot.tasks if function in robot.functions_of(t.name)]
+    names = [*filter(None, tasks)]
+    if not names:
+        return f"function '{function}' is missing"
+    go = "goes" if len(names) == 1 else "go"
+    return f"{named('task', names)} {go} on without function '{function}'"
+
+
+def lacking(tasks: Iterable[Task], functions: AbstractSet[str]) -> str:
+    """Return which tasks stop as they lack functions that they need, for people."""
+    stop = [task.name for task in tasks if not functions.isdisjoint(task.needs)]
+    need = "needs" if len(stop) == 1 else "need"
+    are = "is" if len(functions) == 1 else "are"
+    lacked = named("function", sorted(functions))
+    return f"{named('task', stop)} {need} {lacked}, which {are} missing"
 
 
 def missing_functions(situation: Situation) -> AbstractSet[str]:
     """Return the functions of the task that nothing provides now."""
     there = situation.within_reach().placement
     provided = {a.function for a in situation.robot.whole(there)}
-    return {*situation.robot.functions_of(situation.task)} - provided
+    return {*situation.robot.functions_of()} - provided
 
 
 CALM = 5.0
@@ -330,7 +339,7 @@ class StopWithoutNeeded:
         if not situation.missing or now < self._again_at:
             return None
         there = situation.within_reach().placement
-        functions = robot.functions_of(situation.task)
+        tasks, functions = situation.stopped(situation.missing)
         stops = [
             a
             for a in robot.whole(there)
@@ -340,7 +349,7 @@ class StopWithoutNeeded:
             return None
         self._again_at = now + _TRY_AGAIN
         where = {c.name: there[c.name] for a in stops for c in a.components}
-        why = lacking(situation.task, situation.missing)
+        why = lacking(tasks, situation.missing)
         stop = self._suspensions.suspend_with_task
         return Change(carry_out=partial(stop, stops, where, why, now))
 
@@ -381,7 +390,7 @@ class ResumeSuspended:
         self._doubtful = doubtful
         if now < self._try_at:
             return None
-        choices = self._choices(due, situation.missing)
+        choices = self._choices(due, situation)
         if not choices:
             return None
         situation = situation.without_estimates(doubtful)
@@ -401,21 +410,23 @@ class ResumeSuspended:
         return None
 
     def _choices(
-        self, due: list[Architecture], missing: AbstractSet[str]
+        self, due: list[Architecture], situation: Situation
     ) -> list[Sequence[Architecture]]:
         """Return what may be taken back together, the best first.
 
-        While needed functions are missing, that is nothing but all of them.
+        While a task lacks needed functions, that is nothing of it but all of them.
         """
-        if not missing:
-            held = [a for a in due if a.name in self._suspensions.suspended_with_task]
-            return [*([held] if held else []), *([each] for each in due)]
-        function = attrgetter("function")
-        needed = sorted((a for a in due if a.function in missing), key=function)
-        of_each = [list(group) for _, group in groupby(needed, function)]
-        if len(of_each) < len(missing):
-            return []
-        return [*islice(product(*of_each), _MOST_CHOICES)]
+        choices: list[Sequence[Architecture]] = []
+        missing, function = situation.missing, attrgetter("function")
+        tasks, stopped = situation.stopped(missing)
+        for lacked in (missing.intersection(task.needs) for task in tasks):
+            needed = sorted((a for a in due if a.function in lacked), key=function)
+            of_each = [list(group) for _, group in groupby(needed, function)]
+            if len(of_each) == len(lacked):
+                choices += islice(product(*of_each), _MOST_CHOICES)
+        free = [a for a in due if a.function not in stopped]
+        held = [a for a in free if a.name in self._suspensions.suspended_with_task]
+        return [*choices, *([held] if held else []), *([each] for each in free)]
 
     def _start(self, names: list[str], where: Mapping[str, str], now: float) -> None:
         if start_together(self._live, where):

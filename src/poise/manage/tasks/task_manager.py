@@ -88,21 +88,13 @@ class TaskManager:
         self._upcoming: list[tuple[TaskRecord, Attempt, float]] = []
         self.reports = self._reported()
 
-    def now(self) -> Task:
-        """Return what runs now, as a task of one phase."""
-        going = self.tasks.going()
-        actions = [  # nothing needs what is done on failure, until one has failed
-            replace(attempt.action, on_failure="give up")
-            for _, attempt in self._due_actions()
-            if not self._has_begun or attempt.progress.since is not None
-        ]
-        used = {function for action in actions for function in action.functions}
+    def now(self) -> tuple[Task, ...]:
+        """Return what runs now, as tasks of one phase; what always runs has no name."""
+        tasks = [self._now(record) for record in self.tasks.going()]
         if fixed := self._serving.fixed():
-            actions.append(Action(name="always", functions=tuple(sorted(fixed))))
-        tasks = [self._live.robot.task(record.name) for record in going]
-        needs = dict.fromkeys(n for t in tasks for n in t.needs if n in used)
-        name = "' and '".join(task.name for task in tasks) or "none"
-        return Task(name=name, actions=tuple(actions), needs=tuple(needs))
+            always = Action(name="always", functions=tuple(sorted(fixed)))
+            tasks.append(Task(name="", actions=(always,)))
+        return tuple(tasks)
 
     def likely_next(self) -> list[LikelyAction]:
         """Return what may be needed next and does not run, the most probable first."""
@@ -142,6 +134,17 @@ class TaskManager:
         self._room_at = 0.0
         self._go_on()
         self._save()
+
+    def _now(self, record: TaskRecord) -> Task:
+        """Return what runs now of a task."""
+        actions = tuple(  # nothing needs what is done on failure, until one has failed
+            replace(attempt.action, on_failure="give up")
+            for attempt in self.tasks.tries(record)
+            if not self._has_begun or attempt.progress.since is not None
+        )
+        used = {function for action in actions for function in action.functions}
+        needs = tuple(n for n in self._live.robot.task(record.name).needs if n in used)
+        return Task(name=record.name, actions=actions, needs=needs)
 
     def _due_actions(self) -> list[DueAction]:
         """Return the actions that should work now, of the first task first."""

@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from poise.manage.adaptation.loop import Adaptation
 from poise.manage.shortages.suspension import FIRST, NeededFunctions, missing_functions
-from poise.model.robot import Computer, Robot, Task
+from poise.model.robot import Action, Computer, Robot, Task
 from tests.manage.adaptation.shortages.test_suspension import (
     BOTH,
     HIGH,
@@ -20,8 +20,11 @@ from tests.manage.adaptation.shortages.test_suspension import (
 APART = {"high": "left", "low": "right"}
 
 
-def needing(*functions: str) -> Robot:
-    """Return a robot of two computers; `low` may run on `right` only."""
+def needing(*functions: str, beside: tuple[Task, ...] = ()) -> Robot:
+    """Return a robot of two computers; `low` may run on `right` only.
+
+    `beside`: what it does besides the task that needs these functions.
+    """
     robot = robot_with()
     high, low = robot.architectures
     (part,) = low.components
@@ -32,15 +35,21 @@ def needing(*functions: str) -> Robot:
         robot,
         computers=(*robot.computers, right),
         architectures=(high, low),
-        tasks=(replace(task, needs=functions),),
+        tasks=(replace(task, needs=functions), *beside),
     )
+
+
+def using(name: str, function: str) -> Task:
+    """Return a task that uses a function, and needs none."""
+    return Task(name=name, actions=(Action(name="use", functions=(function,)),))
 
 
 class Loop:
     """The loop of such a robot, and computers that are lost when a test says so."""
 
-    def __init__(self, *needs: str, acts: bool = True) -> None:
-        self.robbed = Robbed(needing(*needs), APART)
+    def __init__(self, *needs: str, acts: bool = True, beside: str = "") -> None:
+        others = (using("other", beside),) if beside else ()
+        self.robbed = Robbed(needing(*needs, beside=others), APART)
         self.lost: frozenset[str] = frozenset()
         self.now = 0.0
         self._loop = Adaptation(
@@ -81,7 +90,7 @@ def test_a_task_stops_without_what_it_needs_until_it_is_back() -> None:
     assert loop.look(62.0) == APART
     assert loop.troubles() == []
     assert loop.sentences("is back", "runs again") == [
-        "function 'low' of task 'work' is back",
+        "function 'low' is back",
         "architecture 'high-task' runs again",
     ]
 
@@ -91,6 +100,26 @@ def test_a_task_goes_on_without_what_it_only_uses() -> None:
     assert loop.look(10.0, "right") == APART
     assert loop.troubles() == ["task 'work' goes on without function 'low'"]
     assert not loop.robbed.sentences()
+
+
+def test_what_another_task_uses_goes_on_when_one_stops() -> None:
+    loop = Loop("low", beside="high")
+    assert loop.look(10.0, "right") == APART
+    assert loop.troubles() == ["task 'work' needs function 'low', which is missing"]
+    assert not loop.robbed.sentences()
+
+
+def test_what_several_tasks_go_on_without_is_said_once() -> None:
+    loop = Loop(beside="low")
+    assert loop.look(10.0, "right") == APART
+    assert loop.troubles() == ["tasks 'work' and 'other' go on without function 'low'"]
+
+
+def test_a_task_that_needs_nothing_is_taken_back_while_another_stops() -> None:
+    loop = Loop("low", beside="high")
+    loop.look(1.0)
+    loop.robbed.suspensions.suspend(["high-task"], "it crashes", loop.now)
+    assert loop.look(FIRST + 9.0, "right") == APART
 
 
 def test_a_moment_without_a_function_stops_nothing() -> None:
@@ -180,6 +209,6 @@ def test_a_function_that_no_action_uses_any_more_is_not_said_to_be_back() -> Non
         needs.evaluate(situation, float(now))
     none = Task(name="none", actions=())
     robot = replace(situation.robot, tasks=(none,))
-    needs.evaluate(replace(situation, robot=robot, task="none"), 10.0)
+    needs.evaluate(replace(situation, robot=robot), 10.0)
     assert not needs.deviations()
     assert robbed.journal.entries()[-1].what == "function 'low' is not used any more"

@@ -83,7 +83,7 @@ class Robbed:
         self.run = LiveRobot(robot, placement, agents, self.journal, "/run")
         self.run.start()
         self.task = robot.task("work")
-        self.suspensions = Suspensions(self.run, lambda: self.task, "not all fits")
+        self.suspensions = Suspensions(self.run, lambda: (self.task,), "not all fits")
         self.taking_back = ResumeSuspended(self.run, self.suspensions)
 
     def situation(self, background: float = 0.0, *late: str) -> Situation:
@@ -93,7 +93,6 @@ class Robbed:
         placement = self.run.placement().items()
         return Situation(
             robot=self.run.robot,
-            task="work",
             placement={name: at for name, at in placement if name not in held},
             loads={"left": load},
             misses=tuple(
@@ -253,7 +252,7 @@ def test_other_layers_are_never_put_aside(layer: str) -> None:
     with pytest.raises(UsageError, match=f"{layer} layer, which Poise never suspends"):
         robbed.suspensions.suspend(["low-task"], "it crashes", 0.0)
     assert robbed.run.placement() == BOTH
-    assert not_running(robbed.run.robot, "work", HIGH) == []
+    assert not_running(robbed.run.robot, HIGH) == []
 
 
 def test_an_overload_that_no_placement_helps_puts_the_lowest_aside() -> None:
@@ -315,7 +314,6 @@ def test_a_lost_computer_puts_lower_priorities_aside_for_higher_ones() -> None:
     ).with_components(lambda c: replace(c, demand={"cpu": 0.4, "memory": 4e8}))
     situation = Situation(
         robot=robot,
-        task="work",
         placement={"high": "right", "middle": "left", "low": "left"},
         lost=frozenset({"right"}),
     )
@@ -397,7 +395,6 @@ def test_of_what_was_lost_the_higher_is_restarted_when_not_all_fits() -> None:
     left = Computer(name="small", capacity={"cpu": 0.5, "memory": 5e8})
     situation = Situation(
         robot=replace(robot, computers=(*robot.computers, left)),
-        task="work",
         placement=BOTH,
         lost=frozenset({"left"}),
     )
