@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from pathlib import Path
 from typing import Any, cast
 
 import pytest
 from msgspec import structs
 from msgspec.msgpack import encode
 
-from poise.errors import RunError, TakenOver
+from poise.errors import RunError, TakenOver, UsageError
 from poise.estimate.code_version import version_of
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.deploy.deployment_layout import DeploymentLayout
@@ -18,6 +19,7 @@ from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.deploy.takeover import newest_record, start_or_take_over
 from poise.manage.journal import Journal
 from poise.manage.manager import Manager
+from poise.manage.migration.move import plan_replacement
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.sample_recording import Recording
 from poise.manage.tasks.task_progress import Saved
@@ -152,6 +154,26 @@ def test_what_was_replaced_begins_again_with_its_other_code(robot: Robot) -> Non
             others.begin_deploy(computer, told)
         start_or_take_over(follower, by_force=False)
         assert follower.placed["thinker"].implementation == begins
+
+
+def test_edited_code_does_not_pass_for_what_runs(robot: Robot, tmp_path: Path) -> None:
+    """A container has imported the earlier one, also for a later incarnation."""
+    module = tmp_path / "mind.py"
+    module.write_text("class Thinker: ...")
+    robot = structs.replace(robot, folder=str(tmp_path))
+    run, agents, _ = run_of(robot, *LEFT)
+    start_or_take_over(run, by_force=False)
+    module.write_text("class Thinker: good = True")
+    with pytest.raises(UsageError, match="'thinker' was edited since it was read"):
+        plan_replacement(run, "thinker", "mind:Thinker")
+    moved = Incarnation(component="thinker", computer="right", epoch=9)
+    run.commit(run.desired.placing([moved]), "it is moved")
+    follower, others, journal = run_of(robot)
+    for computer, told in agents.deployed[-2:]:
+        others.begin_deploy(computer, told)
+    start_or_take_over(follower, by_force=False)
+    assert any("its code has changed" in each for each in sentences(journal))
+    plan_replacement(follower, "thinker", "mind:Thinker")  # the present code
 
 
 def _with_class(robot: Robot, implementation: str) -> Robot:

@@ -58,7 +58,7 @@ class DeploymentLayout:
     ) -> None:
         self._robot = robot
         self._code_version = code_version
-        self._code: dict[tuple[str, int], str] = {}
+        self._code: dict[tuple[str, str], str] = {}
         self._weigh = weigh
         self._folder = folder
         weights = cpu_weights(robot)
@@ -253,22 +253,13 @@ class DeploymentLayout:
         component = self._components[incarnation.component]
         implementation = incarnation.implementation or component.implementation
         is_other = implementation != component.implementation
-        key = incarnation.component, incarnation.epoch
-        if key not in self._code:  # later it may be edited
-            # parameters are compared by themselves
-            code = structs.replace(
-                component, implementation=implementation, parameters={}
-            )
-            self._code[key] = self._robot.deployed or self._code_version(
-                code, *self._robot.folders
-            )
         return ComponentSpec(
             name=component.name,
             epoch=incarnation.epoch,
             goal=incarnation.goal,
             implementation=implementation,
             instead_of=component.implementation if is_other else "",
-            code=self._code[key],
+            code=self._code_of(component, implementation),
             command=component.command,
             environment=component.environment,
             adapt=incarnation.adapt,
@@ -289,6 +280,28 @@ class DeploymentLayout:
             ends=self._ends.get(component.name, ()),
             actions=incarnation.actions,
         )
+
+    def _code_of(self, component: ComponentEntry, implementation: str) -> str:
+        """Return the version of its code when this manager first read that.
+
+        A container imports each module once: what is edited later may not run.
+        """
+        key = component.name, implementation
+        if key not in self._code:
+            self._code[key] = self._present_code(component, implementation)
+        return self._code[key]
+
+    def _present_code(self, component: ComponentEntry, implementation: str) -> str:
+        # parameters are compared by themselves
+        code = structs.replace(component, implementation=implementation, parameters={})
+        return self._robot.deployed or self._code_version(code, *self._robot.folders)
+
+    def is_edited(self, incarnation: Incarnation) -> bool:
+        """Return whether its code is no longer what it was when it was first read."""
+        component = self._components[incarnation.component]
+        implementation = incarnation.implementation or component.implementation
+        present = self._present_code(component, implementation)
+        return present != self._code_of(component, implementation)
 
     def _path(self, device: str) -> str:
         """Return where a device is; it has no path: empty."""

@@ -110,6 +110,8 @@ def plan_replacement(
             f"component '{component}' is a command line: it has no implementation"
         )
     implementation, at, version = by.partition("@")
+    if not (at or old.code):
+        _check_not_edited(live, old, implementation)
     new = structs.replace(
         old,
         epoch=live.next_epoch(component),
@@ -121,6 +123,18 @@ def plan_replacement(
         gently=True,
     )
     return _pending(live, old, new, by)
+
+
+def _check_not_edited(live: LiveRobot, old: Incarnation, by: str) -> None:
+    """Refuse code of which the container has an earlier version."""
+    before = old.implementation or live.robot.component(old.component).implementation
+    module = by.partition(":")[0]
+    if module == before.partition(":")[0] and live.layout.is_edited(old):
+        raise UsageError(
+            f"the code of component '{old.component}' was edited since it was read, "
+            f"and a container imports '{module}' once: `poise up --take-over FILE` "
+            "restarts it with the edited code"
+        )
 
 
 def plan_return(live: LiveRobot, before: Incarnation) -> PendingMigration:
