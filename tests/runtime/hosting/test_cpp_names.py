@@ -1,13 +1,14 @@
-"""What a class in C++ declares under one name is refused."""
+"""What stands in Python for classes, parameters and names in C++."""
 
 from __future__ import annotations
 
 from typing import Any, Protocol
 
+import msgspec
 import pytest
 
 from poise.errors import UsageError
-from poise.runtime.hosting.cpp_component import component
+from poise.runtime.hosting.cpp_component import component, message
 
 
 class Heating(Protocol):
@@ -31,3 +32,8 @@ def test_two_of_one_name_are_refused(declared: dict[str, Any], name: str) -> Non
     types |= {"latest": [], "subscribed": [], "timers": []} | declared
     with pytest.raises(UsageError, match=f"Stove: two of .* are named '{name}'"):
         component("Stove", "kitchen", types, lambda _: ({}, print, None))
+
+
+def test_parameters_may_have_a_list_by_default() -> None:
+    gains = message("Gains", "kitchen", {"gains": list[float]}, {"gains": [0.5]})
+    assert msgspec.to_builtins(msgspec.convert({}, gains)) == {"gains": [0.5]}

@@ -66,7 +66,12 @@ def array_type(dtype: str) -> object:
 
 def message(name: str, module: str, fields: Types, defaults: Types) -> type[Message]:
     """Return the message class of a struct."""
-    members = {"__module__": module, "__annotations__": dict(fields), **defaults}
+    values = {
+        # msgspec takes no list or dictionary that is not empty
+        n: msgspec.field(default_factory=v.copy) if isinstance(v, list | dict) else v
+        for n, v in defaults.items()
+    }
+    members = {"__module__": module, "__annotations__": dict(fields), **values}
     return new_class(name, (Message,), exec_body=lambda body: body.update(members))
 
 
