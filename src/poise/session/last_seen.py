@@ -141,7 +141,7 @@ class LastSeen:
         for key, same in groupby(ends, _key):  # of a source with two paths
             now = list(same)
             _, last = self._ends.get(key, (place, now))
-            if before.pid == container.pid and _count(last[0]) > _count(now[0]):
+            if before.pid == container.pid and last[0].count > now[0].count:
                 self._joined += last[:1]  # it was joined again, and counts from 0
             self._ends[key] = place, now
 
@@ -211,10 +211,6 @@ def _fold(stays: dict[_Stay, ComponentStatus]) -> None:
         (one, first), (two, second) = list(stays.items())[:2]
         stays |= {two: whole([first, second])}
         del stays[one]
-
-
-def _count(end: ConnectorStatus) -> int:
-    return end.calls + end.messages
 
 
 def _key(end: ConnectorStatus) -> tuple[str, Side]:

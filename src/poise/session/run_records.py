@@ -166,11 +166,10 @@ def silent_ports(
     came: dict[str, int] = {}
     sent: dict[str, int] = {}
     for end in connectors_of(statuses):
-        count = end.messages + end.calls
         if end.end != "source":
-            came[end.name] = came.get(end.name, 0) + count
+            came[end.name] = came.get(end.name, 0) + end.count
         if end.end != "target":
-            sent[end.name] = max(sent.get(end.name, 0), count)
+            sent[end.name] = max(sent.get(end.name, 0), end.count)
     topics = [f"{c.name}.{p}" for c in components_of(statuses) for p in c.subscribes]
     found = []
     for name in dict.fromkeys([*topics, *also]):

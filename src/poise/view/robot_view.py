@@ -149,13 +149,12 @@ def _components(before: Status, now: Status) -> Iterator[ComponentRow]:
         if computer in unknown and now.placement.get(component.name) != computer:
             continue  # it is meant to run elsewhere, and nobody knows of this one
         seen.add(component.name)
-        missed = _missed(component), _missed(was)
         yield ComponentRow(
             component.name,
             computer,
             component.state if computer not in unknown else "unknown",
             _rate(component.cpu, was.cpu, seconds),
-            _rate(*missed, seconds),
+            _rate(component.missed, was.missed, seconds),
             component.errors,
         )
     for name in sorted(now.placement.keys() - seen):
@@ -182,7 +181,7 @@ def _connectors(before: Status, now: Status) -> Iterator[ConnectorRow]:
             name,
             source.kind if known else "",
             all(end.ready for _, end, _, _ in known),
-            _rate(_count(source), _count(was), seconds),
+            _rate(source.count, was.count, seconds),
             _rate(_traffic(source), _traffic(was), seconds),
             sum(end.drops for _, end, _, _ in both),
             sum(end.errors for _, end, _, _ in both),
@@ -266,14 +265,6 @@ def _since(
     if first is None or now.at <= first.at:
         return now, None
     return first, now.at - first.at
-
-
-def _missed(component: ComponentStatus) -> int:
-    return sum(timer.missed for timer in component.timers)
-
-
-def _count(end: ConnectorStatus) -> int:
-    return end.calls + end.messages
 
 
 def _traffic(end: ConnectorStatus) -> int:

@@ -75,8 +75,7 @@ def link_values(situation: Situation) -> Iterator[LinkValues]:
         now = situation.traffic.get(connector.name)
         if now is not None:
             ends = _ends(connector, situation.placement)
-            carried = now.size * (now.calls + now.messages)
-            traffic[ends] = traffic.get(ends, 0.0) + carried
+            traffic[ends] = traffic.get(ends, 0.0) + now.traffic
     for state in states_of(situation):
         first, second = state.link.between
         status = situation.statuses.get(first)
@@ -115,7 +114,7 @@ def wasted(
     shares: dict[str, float] = {}
     for connector, state in crossing(situation, placement, bad):
         now = situation.traffic.get(str(connector))
-        rate = max(connector.rate, now.calls + now.messages if now else 0.0)
+        rate = max(connector.rate, now.rate if now else 0.0)
         for end in connector.between:
             before = shares.get(end.component, 0.0)
             shares[end.component] = max(before, state.in_vain(rate))

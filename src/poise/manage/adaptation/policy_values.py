@@ -145,9 +145,7 @@ def _robots(situation: Situation) -> Iterator[Values]:
         lost=len(situation.lost),
         late=sum(timer.late for timer in situation.misses),
         used=sum(load.used for load in situation.loads.values()),
-        calls=sum(
-            traffic.calls + traffic.messages for traffic in situation.traffic.values()
-        ),
+        calls=sum(traffic.rate for traffic in situation.traffic.values()),
     )
 
 

@@ -157,7 +157,7 @@ def _counts(same: _Ends) -> tuple[str, ...]:
     return (
         kind,
         same[0].end,
-        str(sum(e.calls + e.messages for e in same) or ""),
+        str(sum(e.count for e in same) or ""),
         *(format_bytes(size) if size else "" for size in sizes),
         str(sum(e.errors for e in same) or ""),
         str(sum(e.drops for e in same) or ""),

@@ -100,6 +100,11 @@ class ConnectorStatus(Struct, frozen=True, kw_only=True):
     # computers' clocks are ahead. 0 on one computer
     latency_error: float = 0.0
 
+    @property
+    def count(self) -> int:
+        """Calls and messages together."""
+        return self.calls + self.messages
+
 
 class ErrorCount(Struct, frozen=True, kw_only=True):
     """Errors of one type that one line of a component's code raised."""
@@ -167,6 +172,11 @@ class ComponentStatus(Struct, frozen=True, kw_only=True):
         """Name and epoch, which tell it from all other incarnations."""
         return self.name, self.epoch
 
+    @property
+    def missed(self) -> int:
+        """How many deadlines its timers have missed."""
+        return sum(timer.missed for timer in self.timers)
+
 
 class ContainerStatus(Struct, frozen=True, kw_only=True, tag=True, dict=True):
     """A container as it sees itself."""
@@ -201,8 +211,7 @@ class ContainerStatus(Struct, frozen=True, kw_only=True, tag=True, dict=True):
     @cached_property
     def missed(self) -> int:
         """How many deadlines its timers have missed."""
-        timers = (timer for component in self.components for timer in component.timers)
-        return sum(timer.missed for timer in timers)
+        return sum(component.missed for component in self.components)
 
 
 class Fault(Struct, frozen=True, kw_only=True):
