@@ -165,13 +165,14 @@ def _lists(problem: Problem) -> Iterator[tuple[str, object]]:
     for t in problem.time_limits:
         for hop in t.hops:
             yield f"time limit {t.name!r}: a hop: between", hop.between
-    for kind, groups in _sets(problem).items():
+    sets: Mapping[str, Iterable[object]] = _sets(problem)
+    for kind, groups in sets.items():
         yield kind, groups
         if not isinstance(groups, str):  # else each of its letters were a set
             yield from ((f"{kind}: a set", group) for group in groups)
 
 
-def _sets(problem: Problem) -> dict[str, Iterable[tuple[str, ...]]]:
+def _sets(problem: Problem) -> Mapping[str, Iterable[tuple[str, ...]]]:
     """Return kind -> the sets of components that limit each other."""
     return {
         "together": problem.together,
