@@ -8,13 +8,10 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
 
-from msgspec import Struct
-
 from poise.errors import RunError
-from poise.estimate.profiles import ConnectorProfile, Profile
+from poise.estimate.profiles import ConnectorProfile
 from poise.manage.control_socket.commands import MoveCommand, Refusal, Result
 from poise.manage.migration.migration_report import MigrationReport
-from poise.model.robot import Robot
 from poise.simulation.choices import Choices
 from poise.simulation.faults import SimulatedFault, inject
 from poise.simulation.robot.simulated_robot import OUTSIDE, ManagedRobot, SimulatedRobot
@@ -50,29 +47,21 @@ _POLL_EVERY = 0.1
 _MOVE_EVERY = 0.005
 
 
-class RehearsalPlan(Struct, frozen=True, kw_only=True):
+class RehearsalPlan(ManagedRobot, frozen=True, kw_only=True):
     """What is simulated, but for the seed.
 
-    `placement`: component -> computer, at first.
-    `method`: what decided that.
-    `profile`: of the robot; None: nothing was measured.
+    `method`: what decided the placement.
     `faults`: what breaks; `at` counts from the moment when the robot is up [s].
     `cores`: component -> what it takes in each second, again and again [cores of the
     reference]; of the others the profile's mean counts.
     `bag`: connector from a bridge -> how often and how large messages come over it.
-    `adapts`: whether Poise changes the placement by itself.
     `seconds`: how long it is to last [virtual s].
     """
 
-    robot: Robot
-    placement: Mapping[str, str]
     method: str
-    tasks: tuple[str, ...]
-    profile: Profile | None = None
     faults: tuple[SimulatedFault, ...] = ()
     cores: Mapping[str, tuple[float, ...]] = {}
     bag: Mapping[str, ConnectorProfile] = {}
-    adapts: bool = True
     seconds: float = 60.0
 
 
@@ -87,14 +76,7 @@ class Rehearsal:
         self._plan = plan
         self._seed = seed
         self._work = workload_of(plan.robot, plan.profile, plan.cores, plan.bag)
-        managed = ManagedRobot(
-            robot=plan.robot,
-            placement=plan.placement,
-            tasks=plan.tasks,
-            adapts=plan.adapts,
-            profile=plan.profile,
-        )
-        self._robot = SimulatedRobot(managed, Choices(seed), self._work)
+        self._robot = SimulatedRobot(plan, Choices(seed), self._work)
         self._observer: SimulationObserver | None = None
         self._took = 0.0
         self._violations: list[str] = []
