@@ -99,6 +99,7 @@ def test_numbers_of_numpy_come_over_as_numbers() -> None:
         (np.zeros(2, [("x", "f4")]), "one for each field"),
         (np.zeros(2, np.longdouble), "but not of longdouble"),
         (np.zeros(2, np.clongdouble), "but not of longdouble"),
+        (np.ma.array([1, 2], mask=[False, True]), "its mask would be lost"),
         (1 << 70, "Anything cannot cross a connector: can't serialize ints"),
         ("\ud800", "surrogates not allowed"),
     ],

@@ -218,6 +218,11 @@ def _encode_array(value: Any) -> Any:  # noqa: ANN401, whatever msgspec does not
     np = _numpy()
     if not isinstance(value, np.ndarray):
         return _plain(value)
+    if type(value) is not np.ndarray and isinstance(value, np.ma.MaskedArray):
+        raise WireError(
+            "a masked array cannot cross a connector, for its mask would be lost; use "
+            "a Message with an array of data and one of the mask"
+        )
     buffers = _here.sent
     offset = sum(b.nbytes + padding(b.nbytes) for b in buffers) if buffers else 0
     extension = _extension(value.dtype, value.shape, offset)
