@@ -86,6 +86,7 @@ class SimulatedWork(Struct, frozen=True, kw_only=True):
     `traffic`: how large messages are, and what they cost.
     `flaws`: implementation -> what is wrong with it.
     `agent`: CPU of an agent [cores].
+    `rate`: how often timers are due and something goes over connectors, together [Hz].
     `guesses`: what was assumed, because neither profile nor robot file nor code says
     it.
     """
@@ -94,6 +95,7 @@ class SimulatedWork(Struct, frozen=True, kw_only=True):
     traffic: Traffic = Traffic()
     flaws: Mapping[str, Flaw] = {}
     agent: float = 0.0
+    rate: float = 0.0
     guesses: tuple[str, ...] = ()
 
 
@@ -139,8 +141,14 @@ def workload_of(
         calling=frozenset(name for name, t in over.items() if t.calls),
         costs=profile.costs,
     )
+    timers = [each.timer for model in models.values() for each in model.timers]
+    rates = (*(1 / timer.period for timer in timers), *(t.rate for t in over.values()))
     return SimulatedWork(
-        models=models, traffic=traffic, agent=profile.agent, guesses=tuple(guesses)
+        models=models,
+        traffic=traffic,
+        agent=profile.agent,
+        rate=sum(rates),
+        guesses=tuple(guesses),
     )
 
 
@@ -224,17 +232,8 @@ class _Rated(Struct):
     wait_spread: float = 0.0
 
     def handler(self) -> HandlerModel:
-        return HandlerModel(
-            work=self.work,
-            spread=self.spread,
-            waiting=self.waiting,
-            wait=self.wait,
-            wait_spread=self.wait_spread,
-            publishes=self.publishes,
-            calls=self.calls,
-            joined=self.joined,
-            started=self.started,
-        )
+        names = HandlerModel.__struct_fields__
+        return HandlerModel(**{name: getattr(self, name) for name in names})
 
 
 class _ComponentWork:
