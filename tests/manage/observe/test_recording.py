@@ -124,6 +124,7 @@ def test_a_full_disk_costs_records_and_not_the_robot(
     recorder.close()
     assert recorder.missing == 5
     assert "the disk is full" in recorder.trouble
+    assert str(recorder).startswith("recorded 0 samples to ")
     assert str(recorder).endswith("lacks 5 records")
     assert not list(samples_of(tmp_path / "it"))
 

@@ -11,7 +11,7 @@ from poise.clock import steady_wall_time
 from poise.manage.background_file import BackgroundWriter
 from poise.model.policy import Seen
 from poise.units import counted
-from poise.wire.recording_file import McapFile, message_of
+from poise.wire.recording_file import SEEN, McapFile, message_of
 from poise.wire.records.status_records import AgentSample
 
 MOST = 10_000
@@ -66,7 +66,7 @@ class RecordingFile(BackgroundWriter[tuple[str, float, bytes]]):
     def __init__(self, path: Path, robot: str) -> None:
         self.file = McapFile(path, robot, replaces=True)
         self.count = 0
-        """How many samples came."""
+        """How many samples are written."""
         self._time = steady_wall_time()
         super().__init__(
             path, "the recording", "record", most=MOST_WAITING, every=_WRITE_EVERY
@@ -75,7 +75,6 @@ class RecordingFile(BackgroundWriter[tuple[str, float, bytes]]):
 
     def add(self, record: AgentSample | Seen) -> None:
         """Write a sample, or what policies saw, soon."""
-        self.count += isinstance(record, AgentSample)
         topic, data = message_of(record)
         self.put((topic, self._time(), data), len(data))
 
@@ -84,6 +83,7 @@ class RecordingFile(BackgroundWriter[tuple[str, float, bytes]]):
         for topic, at, data in records:
             self.file.add(topic, None, at, data)
             self.note_written(1)
+            self.count += topic != SEEN
         self.file.flush()
 
     def end(self) -> None:
