@@ -97,6 +97,13 @@ def test_refuses_a_missing_key(refuse: Refuse) -> None:
             ),
             ["'200 h' must be at most 604800 s"],
         ),
+        (
+            robot(
+                "architectures: {x: {function: f, components: {a: {}, b: {}}, "
+                "connectors: [{between: [a, b], ▸rate: 1e9 Hz}]}}"
+            ),
+            ["'1e9 Hz' must be at most 1e+06"],
+        ),
         (component("{▸cpu: 20 percent}"), ["unit 'percent'", "core, cores, %"]),
         (component("{▸memory: 20 Mib}"), ["did you mean 'MiB'?"]),
         (component("{▸memory: -1}"), ["negative"]),

@@ -281,6 +281,16 @@ def test_data_that_only_waits_for_cpu_is_as_old_as_the_simulation_is_long(
     assert chain.slowest == "mind"
 
 
+def test_what_has_much_to_do_is_simulated_for_less(robot: Robot) -> None:
+    left, right = robot.computers
+    stuck = replace(robot, computers=(left, replace(right, speed=0.0005, address="a")))
+    placement = {"eye": "left", "mind": "right", "arm": "left"}
+    for rate, seconds in ((1e4, 5.0), (4e5, 1.0), (1e9, 0.2)):
+        work = SimulatedWork(models=PASSED_ON, rate=rate)
+        (chain,) = predict_times(stuck, placement, work).chains
+        assert chain.median == pytest.approx(seconds)
+
+
 def test_a_timer_that_skips_releases_does_not_keep_its_deadline(robot: Robot) -> None:
     """One run of twenty takes over a period, so that a release is skipped."""
     hog = ComponentModel(timers=(timer(0.1, 0.05),), factors=(1.0,) * 19 + (1.5,))

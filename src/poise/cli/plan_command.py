@@ -164,7 +164,7 @@ def plan_command(
             stop=interrupts.has_come,
             why=not smallest,
         )
-        how = partial(_decide, robot, solve)
+        how = partial(_decide, robot, solve, interrupts.check)
         if smallest:
             feasible = _answer_smallest(
                 problems, partial(how, method), interrupts.has_come, json=json
@@ -215,11 +215,12 @@ Decider = Callable[[plan.TaskProblem], DecidedByTime]
 def _decide(
     robot: Robot | None,
     solve: Callable[..., plan.TaskResult],
+    check: Callable[[], None],
     method: str,
     problem: plan.TaskProblem,
 ) -> DecidedByTime:
     with busy("placing"):
-        return decided(robot, problem, method, partial(solve, method=method))
+        return decided(robot, problem, method, partial(solve, method=method), check)
 
 
 def _check_methods(method: str, compare: str | None) -> None:

@@ -34,6 +34,8 @@ Layer = Literal["deliberative", "sequencing", "reactive"]
 WhenCutOff = Literal["stop", "go on"]
 LONGEST_LIMIT = 7 * 86400.0
 """[s] A longer limit is an error: clocks and locks cannot wait for ever."""
+MOST_RATE = 1e6
+"""[Hz] A higher rate is an error: no message takes less than a microsecond."""
 
 
 class DeclaredPort(Struct, frozen=True, kw_only=True):
@@ -199,7 +201,8 @@ class Connector(Struct, frozen=True, kw_only=True, dict=True):
         Rate,
         says(
             "Messages or calls per second: 10 Hz. Default, and for 0: from the "
-            "profile. `overhead: 0` makes it count for nothing."
+            "profile. `overhead: 0` makes it count for nothing.",
+            le=MOST_RATE,
         ),
     ] = 0.0
     limit: Annotated[

@@ -142,6 +142,8 @@ _ROBOTS = 8
 _SHORTEST, _LONGEST = 5.0, 60.0
 _PERIODS = 50.0
 """Each robot is simulated for 50 of the longest period, within these times [s]."""
+_MOST_EVENTS, _FEWEST_PERIODS = 4e5, 2.0
+"""What does more than that meanwhile is simulated for less, but for two periods."""
 _OFTEN = 0.01
 
 
@@ -239,9 +241,12 @@ def predict_times(
 ) -> PredictedTimes:
     """Return what is predicted of a placement."""
     models = [work.models[name] for name in placement if name in work.models]
-    periods = [timer.timer.period for model in models for timer in model.timers]
+    period = max((t.timer.period for m in models for t in m.timers), default=0.0)
     chains = [c for c in robot.chains if placement.keys() >= {*c.through}]
-    seconds = min(_LONGEST, max(_SHORTEST, _PERIODS * max(periods, default=0.0)))
+    seconds = min(_LONGEST, max(_SHORTEST, _PERIODS * period))
+    if work.rate:
+        least = min(seconds, _FEWEST_PERIODS * period)
+        seconds = max(least, min(seconds, _MOST_EVENTS / work.rate))
     robots = [PlacedComponents(robot, placement, work, seed) for seed in range(_ROBOTS)]
     for simulated in robots:
         simulated.run(simulated.now + seconds)

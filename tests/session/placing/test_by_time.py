@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
+from poise import plan
 from poise.estimate.profiles import Profile
 from poise.model import load
 from poise.model.robot import Action, Architecture, ComponentEntry, Task
@@ -18,7 +19,7 @@ from poise.runtime.code_check import code_of
 from poise.session import nothing
 from poise.session.placing import by_time
 from poise.session.placing.first_phase import first_phase
-from poise.session.placing.placement import Placement, place
+from poise.session.placing.placement import Placement, decided, place, problem_of_task
 from poise.session.render.plan_tables import plan_parts
 from poise.simulation.workload import LEFT_OUT
 from tests.command import run_poise
@@ -142,6 +143,22 @@ def test_a_chain_goes_round_a_busy_computer(placed: Place) -> None:
     keys = {"hog": "22%", "hog_needs": "motor", "communication": "0.5"}
     assert placed(**keys, chains="")["mind"] == "a"
     assert placed(**keys)["mind"] == "b"
+
+
+def test_a_chain_is_no_longer_simulated_after_ctrl_c(
+    placed: Place, tmp_path: Path
+) -> None:
+    placed()
+
+    def interrupted() -> None:
+        raise KeyboardInterrupt
+
+    robot = load(tmp_path / "robot.yaml")
+    code = {c.name: code_of(c, robot.folder) for c in robot.components()}
+    robot = replace(robot, code=code)
+    problem = problem_of_task(robot, "go", at_once=False)
+    with pytest.raises(KeyboardInterrupt):
+        decided(robot, problem, "greedy", plan.solve_phases, interrupted)
 
 
 def test_a_chain_that_is_late_anywhere_is_placed_and_said(placed: Place) -> None:

@@ -56,13 +56,17 @@ class DecidedByTime(Struct, frozen=True):
 
 
 def decide_by_time(
-    robot: Robot, problem: plan.TaskProblem, *solvers: Solve
+    robot: Robot,
+    problem: plan.TaskProblem,
+    *solvers: Solve,
+    check: Callable[[], None] | None = None,
 ) -> DecidedByTime:
     """Return the best placement found, with the times that are predicted for it.
 
     `robot`: what its code says of deadlines of timers counts, if it was read. If it has
     chains and its code was not read yet, another process imports it.
     `solvers`: the next one decides when what one decides was looked at already.
+    `check`: called before each simulation; what it raises is raised.
     """
     if any(phase.problem.time_limits for phase in problem.phases):
         robot = with_code(robot)
@@ -75,7 +79,7 @@ def decide_by_time(
     free = solvers[0](problem.changed(_without_prices))
     if free.total is None:
         return DecidedByTime(free)
-    predict = partial(_predicted, robot, work)
+    predict = partial(_predicted, robot, work, check)
     found = _tried(problem, solvers, predict)
     starts = _distinct(found) or [DecidedByTime(free)]
     if len(solvers) > 1:
@@ -287,6 +291,7 @@ def _with_limits(
 def _predicted(
     robot: Robot,
     work: SimulatedWork,
+    check: Callable[[], None] | None,
     result: plan.TaskResult,
     predict: Callable[..., PredictedTimes] = predict_times,
 ) -> Iterator[tuple[str, PredictedTimes]]:
@@ -294,6 +299,8 @@ def _predicted(
     here = replace(robot, computers=result.problem.computers)
     for name, each in result.results.items():
         if each.placement:
+            if check is not None:
+                check()
             yield name, predict(here, each.placement, work)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from functools import partial
 from itertools import cycle
@@ -391,9 +391,16 @@ def problem_of_task(
 
 
 def decided(
-    robot: Robot | None, problem: plan.TaskProblem, method: str, solve: Solve
+    robot: Robot | None,
+    problem: plan.TaskProblem,
+    method: str,
+    solve: Solve,
+    check: Callable[[], None] | None = None,
 ) -> DecidedByTime:
-    """Return what a rule decides, or else a solver; None: there is no robot file."""
+    """Return what a rule decides, or else a solver; None: there is no robot file.
+
+    `check`: called before each simulation; what it raises is raised.
+    """
 
     def decide(asked: plan.TaskProblem) -> plan.TaskResult:
         return _ruled(method, robot, asked) or solve(asked)
@@ -402,7 +409,7 @@ def decided(
         return DecidedByTime(decide(problem))
     is_searched = method != "greedy" and not is_rule(method)
     others = (partial(solve, method="greedy"),) if is_searched else ()
-    return decide_by_time(robot, problem, decide, *others)
+    return decide_by_time(robot, problem, decide, *others, check=check)
 
 
 def _ruled(
