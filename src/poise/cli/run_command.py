@@ -297,10 +297,7 @@ def demo_command(
 def demo_module() -> ModuleType:
     """Return `examples/demo/play.py` of the clone where this is, or the command runs.
 
-    Raises
-    ------
-    UsageError
-        Neither is a clone.
+    UsageError: neither is a clone.
     """
     for clone in (_CLONE, Path.cwd()):
         if (clone / "examples/demo/play.py").is_file():

@@ -151,12 +151,8 @@ def read_tree(path: Path, problems: list[FileProblem], given: Given) -> Node | N
 
     Mappings are merged key by key and lists are joined. A single value that is defined
     twice is a problem. A file that is included twice is read once, unless it is
-    included with a prefix or arguments.
-
-    Raises
-    ------
-    UsageError
-        The file has no argument of a name in `given`.
+    included with a prefix or arguments. UsageError: the file has no argument of a name
+    in `given`.
     """
     reader = _Reader(problems, [], given, {})
     reader.read(path, None, ())

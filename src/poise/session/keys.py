@@ -50,15 +50,7 @@ _ROBOT, _NAME, _ROLE = (
 
 
 class Authority(Struct, frozen=True):
-    """Who signs the certificates of a robot.
-
-    Parameters
-    ----------
-    robot
-        The robot's name.
-    folder
-        The keys of the robot's owner.
-    """
+    """Who signs the certificates of a robot; `folder`: the keys of its owner."""
 
     robot: str
     folder: Path
@@ -68,22 +60,9 @@ class Authority(Struct, frozen=True):
     ) -> Credentials:
         """Write keys for a computer or a person; those that were there are replaced.
 
-        Parameters
-        ----------
-        name
-            Of the computer or the person.
-        role
-            ``agent`` for a computer, ``manager`` for who may command the robot,
-            ``viewer`` for who may only look.
-        folder
-            Where they are written; private to its user.
-        days
-            How long the certificate holds; not longer than that of the authority.
-
-        Raises
-        ------
-        UsageError
-            The authority's own key is not here, or the folder cannot be written.
+        `days`: how long the certificate holds; not longer than that of the authority.
+        UsageError: the authority's own key is not here, or the folder, which becomes
+        private to its user, cannot be written.
         """
         key = ec.generate_private_key(ec.SECP256R1())
         usages = ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH
@@ -201,17 +180,8 @@ def authority_of(robot: str, folder: Path | None = None) -> Authority:
 def init_keys(robot: str, folder: Path | None = None) -> Authority:
     """Make the authority of a robot, and keys for who owns it.
 
-    Parameters
-    ----------
-    robot
-        The robot's name.
-    folder
-        Where the owner's keys are; None: in his data folder.
-
-    Raises
-    ------
-    UsageError
-        There is one already, the folder cannot be written, or it is not a name.
+    `folder`: where these are; None: in the owner's data folder. UsageError: there is
+    one already, the folder cannot be written, or it is not a name.
     """
     if not re.fullmatch(NAME, robot):
         raise UsageError(f"'{robot}' is not a robot's name: {NAME_SAYS}")

@@ -31,17 +31,10 @@ def generate_launch_description():
 
 
 class LaunchFiles(Struct, frozen=True):
-    """The text of each computer's launch file, and what is in none.
+    """The text of each computer's launch file, and what is in none."""
 
-    Parameters
-    ----------
-    texts
-        Computer -> Python, for each one where something runs.
-    left_out
-        The components that ROS 2 cannot start: those of Poise, and bridges.
-    """
-
-    texts: Mapping[str, str]
+    texts: Mapping[str, str]  # computer -> Python, for each one where something runs
+    # the components that ROS 2 cannot start: those of Poise, and bridges
     left_out: tuple[str, ...] = ()
 
 
@@ -50,12 +43,8 @@ def launch_files(
 ) -> LaunchFiles:
     """Return launch files that start what runs on each computer.
 
-    Parameters
-    ----------
-    where
-        Component -> computer.
-    folder
-        The robot file's folder, relative to that of the launch files.
+    `where`: component -> computer. `folder`: that of the robot file, relative to that
+    of the launch files.
     """
     network = ros2_environment(robot)
     common = [f"SetEnvironmentVariable({k!r}, {v!r})" for k, v in network.items()]

@@ -177,10 +177,7 @@ class Scheduler:
     def run(self, until: float) -> None:
         """Let time pass until a moment [s].
 
-        Raises
-        ------
-        SimulationError
-            Nothing can ever run again, or time does not pass.
+        SimulationError: nothing can ever run again, or time does not pass.
         """
         self.thread = get_ident()
         timers, ready, engine = self._timers, self._ready, self.engine

@@ -79,13 +79,9 @@ def ask_agents(
 
     `why`: why the manager does not answer, and the way out; empty: it is gone.
     `wants_all`: that some run nothing is no answer while others are silent.
-
-    Raises
-    ------
-    NoManager
-        It is not known whether the robot runs: something listens where its agents are,
-        and none answers, or, with `wants_all`, not all do; or nobody says where they
-        are, or this computer has no network.
+    NoManager: it is not known whether the robot runs: something listens where its
+    agents are, and none answers, or, with `wants_all`, not all do; or nobody says where
+    they are, or this computer has no network.
     """
     with ThreadPoolExecutor(_MOST_AT_ONCE) as pool:
         errors = list(pool.map(_connect_error, addresses.endpoints.values()))

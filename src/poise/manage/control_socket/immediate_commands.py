@@ -60,14 +60,9 @@ def ask_port(live: LiveRobot, command: PortCommand) -> PortAnswer:
     """Return what came of a command; from any thread.
 
     It waits, within its limit, for a component that moves, restarts or is lost, and
-    asks a second time only where it was surely not begun.
-
-    Raises
-    ------
-    UsageError
-        There is no such component, or the command is too large or takes too long.
-    RunError
-        Nobody took it within its limit, or what took it gave no answer.
+    asks a second time only where it was surely not begun. UsageError: there is no such
+    component, or the command is too large or takes too long; RunError: nobody took it
+    within its limit, or what took it gave no answer.
     """
     _check(live, command)
     clock, name = live.clock, command.component

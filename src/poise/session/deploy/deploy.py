@@ -220,11 +220,7 @@ def as_deployed(robot: Robot) -> Robot:
     """Return a robot that runs its deployed code, if its computers run such code.
 
     Without agents that have deployed code, all import it from the robot file's folder.
-
-    Raises
-    ------
-    UsageError
-        The code was changed since it was deployed, or some computers lack it.
+    UsageError: the code was changed since it was deployed, or some computers lack it.
     """
     if robot.is_emulated:
         return robot

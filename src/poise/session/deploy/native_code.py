@@ -28,12 +28,8 @@ class _Target(NamedTuple):
 def unfit(files: Mapping[str, Path], platforms: Mapping[str, str]) -> Iterator[str]:
     """Yield a sentence for each code that a computer has, and cannot run.
 
-    Parameters
-    ----------
-    files
-        All files by their names in the archive.
-    platforms
-        Those of the computers by their names, as in `AgentStatus`.
+    `files`: all of them, by their names in the archive. `platforms`: computer -> its
+    own, as in `AgentStatus`.
     """
     targets: dict[str, list[_Target]] = {}
     for name, path in files.items():

@@ -116,32 +116,16 @@ class Call(Struct, frozen=True, kw_only=True):
 
 
 class NodeProcess(Struct, frozen=True, kw_only=True):
-    """A process and the nodes in it.
-
-    Parameters
-    ----------
-    arguments
-        Its command line; empty: it could not be read.
-    folder
-        Where it was started.
-    environment
-        What of its environment matters to ROS 2 and to Python.
-    cpu
-        Mean use [cores], with its child processes.
-    memory
-        Its share of what it holds [bytes], with its child processes.
-    devices
-        Device nodes that it has open.
-    """
+    """A process and the nodes in it."""
 
     pid: int
     nodes: tuple[str, ...]
-    arguments: tuple[str, ...] = ()
-    folder: str = "/"
-    environment: Mapping[str, str] = {}
-    cpu: float = 0.0
-    memory: float = 0.0
-    devices: tuple[str, ...] = ()
+    arguments: tuple[str, ...] = ()  # its command line; empty: it could not be read
+    folder: str = "/"  # where it was started
+    environment: Mapping[str, str] = {}  # what of it matters to ROS 2 and to Python
+    cpu: float = 0.0  # mean use [cores], with its child processes
+    memory: float = 0.0  # its share of what it holds [bytes], with its child processes
+    devices: tuple[str, ...] = ()  # device nodes that it has open
 
 
 class Hardware(Struct, frozen=True, kw_only=True):

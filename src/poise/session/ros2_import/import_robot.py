@@ -57,22 +57,9 @@ def import_robot(
 ) -> ImportedRobot:
     """Watch the ROS 2 graph of this environment, and return it as a robot.
 
-    Parameters
-    ----------
-    seconds
-        How long it is watched.
-    name
-        The robot's name.
-    folder
-        That of the robot file.
-    computers
-        Name -> `cpu` and `memory` as in a robot file. That called ``main`` is this one
-        instead of what it has; others are added.
-
-    Raises
-    ------
-    RunError
-        There is no rclpy, or no node whose process is known.
+    `folder`: that of the robot file. `computers`: name -> `cpu` and `memory` as there;
+    that called ``main`` is this one instead of what it has, and others are added.
+    RunError: there is no rclpy, or no node whose process is known.
     """
     try:
         from poise.session.ros2_import.observer import observe
@@ -164,14 +151,8 @@ _ROOM = 1.25
 class RobotText:
     """Writes the robot file.
 
-    Parameters
-    ----------
-    robot
-        The robot's name.
-    computers
-        Name -> keys, as in a robot file. The one where it was observed comes first.
-    here
-        Where the robot will be started.
+    `computers`: name -> keys; the one where it was observed comes first. `here`: where
+    the robot will be started.
     """
 
     def __init__(

@@ -126,13 +126,7 @@ class _Ends(Struct):
 
 
 def observe(seconds: float) -> Graph:
-    """Return what is seen of the graph that this process's environment leads to.
-
-    Raises
-    ------
-    RunError
-        No node was found.
-    """
+    """Return what is seen of this environment's graph; RunError: no node was found."""
     rclpy.init(args=[])
     try:
         node = Node(_NAME, enable_rosout=False, start_parameter_services=False)
