@@ -125,6 +125,7 @@ def test_of_what_was_started_often_the_last_start_is_shown() -> None:
     answer = replace(status(Estimate(mean=0.1, p95=0.1, error=0.01)), tasks=(*tasks,))
     said = [part for part in status_parts(answer) if "task '" in str(part)]
     assert said == ["[red]task 'a' is failed[/]", "task 'b' is going"]
+    assert "everything else is as the robot file says" in list(status_parts(answer))
 
 
 def test_a_component_with_a_job_that_does_not_end_is_named() -> None:

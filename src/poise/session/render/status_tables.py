@@ -53,7 +53,8 @@ class Status(Printable, RobotStatus, frozen=True, tag="RobotStatus", kw_only=Tru
 def status_parts(status: RobotStatus) -> Iterator[RenderableType]:
     """Yield a status: deviations first."""
     yield f"robot '{status.robot}'"
-    yield from task_lines(_latest(status.tasks))
+    tasks = tuple(_latest(status.tasks))
+    yield from task_lines(tasks)
     if switches := str(status.prefetch):
         yield f"switches from action to action: {switches}"
     yield f"{'last ' if status.by_agents else ''}managed by {status.manager}"
@@ -69,7 +70,8 @@ def status_parts(status: RobotStatus) -> Iterator[RenderableType]:
     elif not status.deviations:
         faults = counted(status.faults, "fault")
         lately = f"; {faults} since the start (below)" if status.faults else ""
-        everything = "everything else" if status.under_way else "everything"
+        is_rest = status.under_way or any(task.state == "failed" for task in tasks)
+        everything = "everything else" if is_rest else "everything"
         yield f"{everything} is as the robot file says{lately}"
     for name, values in sorted(status.parameters.items()):
         said = ", ".join(f"{key} = {shortened(value)}" for key, value in values.items())
