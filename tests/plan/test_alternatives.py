@@ -174,6 +174,25 @@ def test_an_alternative_that_may_run_nowhere_else_is_left_out_with_its_computer(
         plan.without(held(pinned, other), ["one"])
 
 
+def test_with_fewer_what_a_lost_computer_strands_is_suspended() -> None:
+    asked = problem((architecture("see"), 0.5), (architecture("drive"), 0.5), room=1.0)
+    first, *others = asked.components
+    one, two = (Computer(name=name, capacity={"cpu": 1.0}) for name in ("one", "two"))
+    asked = replace(
+        asked,
+        components=(replace(first, only=("one",)), *others),
+        computers=(one, two),
+    )
+    fewer = plan.solve(plan.without(asked, ["one"], fewer=True), fewer=True)
+    assert fewer.placement == {"drive.part": "two"}
+    assert fewer.suspended == ("see",)
+    assert fewer.reason.startswith("see.part can run nowhere (only one).")
+    see, drive = asked.architectures
+    needed = replace(asked, architectures=(replace(see, required=True), drive))
+    with pytest.raises(UsageError, match=r"these can run nowhere: see\.part"):
+        plan.without(needed, ["one"], fewer=True)
+
+
 def test_a_placement_with_an_alternative_without_components_can_be_evaluated() -> None:
     """Nothing is placed for it, so it is what a placement without the other has."""
     asked = replace(

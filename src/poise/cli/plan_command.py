@@ -143,7 +143,9 @@ def plan_command(
         return believed.robot
 
     def changed(problem: plan.Problem) -> plan.Problem:
-        asked_about = changed_problem(problem, without or [], add or [], scale or [])
+        asked_about = changed_problem(
+            problem, without or [], add or [], scale or [], fewer=fewer
+        )
         return plan.share_cpu(asked_about) if share else asked_about
 
     if smallest and robot is not None and not tasks:
@@ -419,11 +421,16 @@ def _answer_comparison(
 
 
 def changed_problem(
-    problem: plan.Problem, without: list[str], add: list[str], scale: list[str]
+    problem: plan.Problem,
+    without: list[str],
+    add: list[str],
+    scale: list[str],
+    *,
+    fewer: bool,
 ) -> plan.Problem:
     """Return the problem without computers, with others, and with other capacities."""
     if without:
-        problem = plan.without(problem, without)
+        problem = plan.without(problem, without, fewer=fewer)
     for text in add:
         computer = computer_of(text)
         known = dict.fromkeys(("cpu", "memory", *problem.resources))

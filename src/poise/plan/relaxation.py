@@ -70,7 +70,7 @@ def relaxed(problem: Problem, raises: Raises) -> Problem:
     return replace(
         problem,
         components=tuple(
-            replace(c, only=()) if ("only", c.name) in more else c
+            replace(c, only=(), stranded=False) if ("only", c.name) in more else c
             for c in problem.components
         ),
         computers=tuple(
@@ -323,9 +323,10 @@ def limits_of(problem: Problem) -> Iterator[Limit]:
     yield from _groups("apart", problem.apart, "share a computer")
     yield from _exclusive(problem)
     for c in problem.components:
-        if c.only:
+        if c.only or c.stranded:
             why = f" ({c.why})" if c.why else ""
-            text = f"{c.name} may only run on {' or '.join(c.only)}{why}"
+            may = f"may only run on {' or '.join(c.only)}"
+            text = f"{c.name} {'can run nowhere' if c.stranded else may}{why}"
             yield Limit("only", (c.name,), text, f"letting {c.name} run elsewhere")
 
 

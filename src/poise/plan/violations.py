@@ -94,11 +94,12 @@ def _overfull(arrays: Arrays, placed: Placed) -> Iterator[str]:
 def _misplaced(arrays: Arrays, placed: Placed) -> Iterator[str]:
     for unit, computers in arrays.allowed.items():
         if placed[unit] >= 0 and placed[unit] not in computers:
-            choices = " or ".join(map(arrays.computer, computers)) or "no computer"
+            choices = " or ".join(map(arrays.computer, computers))
+            may = f"may only run on {choices}" if choices else "can run nowhere"
             reasons = (arrays.problem.components[i].why for i in arrays.members[unit])
             why = next((f" ({reason})" for reason in reasons if reason), "")
             here = arrays.computer(placed[unit])
-            yield f"{arrays.name(unit)} is on {here}, may only run on {choices}{why}"
+            yield f"{arrays.name(unit)} is on {here}, {may}{why}"
 
 
 def _crowded(arrays: Arrays, placed: Placed) -> Iterator[str]:

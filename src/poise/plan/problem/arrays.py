@@ -377,7 +377,7 @@ def _allowed(
 ) -> dict[int, tuple[int, ...]]:
     allowed: dict[int, tuple[int, ...]] = {}
     for i, component in enumerate(problem.components):
-        if component.only:
+        if component.only or component.stranded:
             mine = {place[name] for name in component.only}
             unit = unit_of[i]
             if unit in allowed:

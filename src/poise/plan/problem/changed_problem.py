@@ -77,10 +77,18 @@ def scale_of(problem: Problem, arrays: Arrays | None = None) -> float | None:
     return overhead_scale(problem, arrays.overhead, arrays.traffic)
 
 
-def without(problem: Problem, names: Collection[str]) -> Problem:
+def without(
+    problem: Problem, names: Collection[str], *, fewer: bool = False
+) -> Problem:
     """Return the problem without the computers called `names`.
 
     An architecture that may run on no other is left out where an alternative may.
+
+    Parameters
+    ----------
+    fewer
+        Other components that may run on no other are stranded, unless an architecture
+        with them is required.
 
     Raises
     ------
@@ -92,7 +100,14 @@ def without(problem: Problem, names: Collection[str]) -> Problem:
         if name not in known:
             raise UsageError(unknown("computer", name, known))
     problem = _without_stranded(problem, names)
-    if stranded := _stranded(problem, names):
+    stranded = _stranded(problem, names)
+    if fewer:
+        optional = {n for a in problem.architectures for n in a.components}
+        for a in problem.architectures:
+            if a.required:
+                optional.difference_update(a.components)
+        stranded = [name for name in stranded if name not in optional]
+    if stranded:
         raise UsageError(
             f"without {', '.join(sorted(names))}, these can run nowhere: "
             f"{', '.join(stranded)}"
@@ -183,9 +198,18 @@ def _without_stranded(problem: Problem, names: Collection[str]) -> Problem:
 
 def _without(component: Item, names: Collection[str]) -> Item:
     only = tuple(h for h in component.only if h not in names)
+    stranded = component.stranded or bool(component.only and not only)
+    why = component.why or f"only {' or '.join(component.only)}" if stranded else ""
     present = None if component.present in names else component.present
     cost = {h: x for h, x in component.cost.items() if h not in names}
-    return replace(component, only=only, present=present, cost=cost)
+    return replace(
+        component,
+        only=only,
+        stranded=stranded,
+        present=present,
+        cost=cost,
+        why=why or component.why,
+    )
 
 
 PRICE = 1000.0

@@ -16,6 +16,8 @@ class Item(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         Resource -> amount on a computer of speed 1, >= 0; 0 where not named.
     only
         Names of the computers it may run on; empty means any.
+    stranded
+        Whether none of the computers that it may run on is there.
     present
         The computer where it runs now, or None.
     move_cost
@@ -29,6 +31,7 @@ class Item(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     name: str
     demand: Mapping[str, float] = {}
     only: tuple[str, ...] = ()
+    stranded: bool = False
     present: str | None = None
     move_cost: float = 0.0
     cost: Mapping[str, float] = {}
