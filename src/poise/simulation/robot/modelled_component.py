@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from operator import itemgetter
 from typing import TYPE_CHECKING
 
 from poise.errors import RunError
@@ -175,7 +174,7 @@ class MigrationModel(StepTaker):
         self._container = container
         self._phases: dict[tuple[str, int], tuple[int, MigrationPhases]] = {}
         self.states: dict[tuple[str, int, int], ExecutorState] = {}
-        self._is_fresh: dict[tuple[str, int], bool] = {}
+        self._sources: dict[tuple[str, int], int] = {}  # key -> source's epoch
 
     def give_back(self, component: SimulatedComponent) -> None:
         """Let a source go on with all that waited for it: the real one keeps it."""
@@ -253,8 +252,9 @@ class MigrationModel(StepTaker):
         match step.name:
             case "pre-copy":
                 # of what has another's place, no source has the state
-                self._is_fresh[component.key] = component.spec.name not in step.sources
-            case "restore state" if not self._is_fresh.get(component.key):
+                if source := step.sources.get(component.spec.name):
+                    self._sources[component.key] = source[0]
+            case "restore state" if component.key in self._sources:
                 self._restore(component, migration, deadline)
             case "activate":
                 component.executor.pause()
@@ -271,10 +271,10 @@ class MigrationModel(StepTaker):
         """Wait until the source has sent its state, and take it."""
         container, world = self._container, self._container.world
         name, here = component.spec.name, container.process.computer.name
-        sender = self._source_of(component)
-        if sender is None:
+        epoch = self._sources[component.key]
+        source = self._container_of(name, epoch)
+        if source is None:
             raise RunError(f"no source of '{name}' is reached")
-        source, epoch = sender
         there = source.process.computer.name
         states = source.migration.states
         seconds = drawn(world.choices, (0.0, 0.005))
@@ -295,22 +295,13 @@ class MigrationModel(StepTaker):
         world.scheduler.wait(seconds, "a state's transfer")
         component.executor.restore(state)
 
-    def _source_of(
-        self, component: SimulatedComponent
-    ) -> tuple[SimulatedContainer, int] | None:
-        """Return the incarnation before; one that was lost may still be elsewhere."""
-        name = component.spec.name
-        older = [
-            (epoch, container)
-            for container in self._container.world.containers()
-            for (other, epoch), sibling in container.components.items()
-            if other == name and epoch < component.spec.epoch
-            if sibling.state != "finalized"
-        ]
-        if not older:
-            return None
-        epoch, container = max(older, key=itemgetter(0))
-        return container, epoch
+    def _container_of(self, name: str, epoch: int) -> SimulatedContainer | None:
+        """Return where an incarnation is; None: it has ended."""
+        for container in self._container.world.containers():
+            found = container.components.get((name, epoch))
+            if found is not None and found.state != "finalized":
+                return container
+        return None
 
     def _component(self, step: Step) -> SimulatedComponent:
         try:
