@@ -908,7 +908,8 @@ def test_of_two_equal_moves_the_second_says_where_it_is(world: MovingRobot) -> N
     assert first.run().committed
     report = second.run()
     assert not report.committed
-    assert report.reason == "component 'counter' was changed meanwhile"
+    why = "component 'counter' was changed meanwhile: it runs on 'right' now"
+    assert report.reason == why
     assert report.before == {"counter": "right"}
 
 

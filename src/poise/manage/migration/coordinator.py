@@ -161,7 +161,10 @@ class Migration:
         for source in self._sources:
             placed = live.placed.get(source.component)
             if placed is None or placed.epoch != source.epoch:
-                raise RunError(f"component '{source.component}' was changed meanwhile")
+                now = f"runs on '{placed.computer}' now" if placed else "has ended"
+                raise RunError(
+                    f"component '{source.component}' was changed meanwhile: it {now}"
+                )
         raise_on_cut_state(live, self._sources, self._targets)
         lossy = lossy_connectors(live, self._sources, self._others)
         self._dropped = {name: connector.why for name, connector in lossy.items()}
