@@ -6,6 +6,7 @@ and renamed as the last step, so that an agent that is killed leaves nothing hal
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import lzma
 import os
@@ -101,11 +102,13 @@ class CodeFolder:
                 return self._store(request)
             self._install(request.version)
         except OSError as error:
+            with contextlib.suppress(OSError):  # what is sent next may need the room
+                self._remove_files()
             free = format_bytes(shutil.disk_usage(self._folder).free)
             return Refused(
                 f"it cannot store the code: {error.strerror or error} ({free} are free "
-                f"in {self._folder}): make room there, or start the agent with "
-                "`--folder` on another disk"
+                f"in {self._folder} without it): make room there, or start the agent "
+                "with `--folder` on another disk"
             )
         except RunError as error:
             return Refused(str(error))
@@ -130,7 +133,7 @@ class CodeFolder:
             if held >= part.size:
                 _check(path, part)
                 path.replace(whole)
-        except (OSError, RunError):
+        except RunError:
             path.unlink(missing_ok=True)
             raise
         return CodeReceived(held)
