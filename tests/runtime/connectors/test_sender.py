@@ -400,8 +400,9 @@ def test_a_call_does_not_wait_for_ever_for_its_target(
     sender, _ = calling
     path = FakeRoute()
     sender.add("old", path)
-    with pytest.raises(Timeout, match="its target did not come back"):
+    with pytest.raises(Timeout, match="its target has failed or did not come back"):
         sender.repeat_call(path, "add", (1,), {}, time.monotonic())
+    assert (sender.counts.calls, sender.counts.errors) == (1, 1)
 
 
 def test_without_a_path_calls_are_unavailable(calling: tuple[Sender, Any]) -> None:

@@ -202,7 +202,10 @@ class Sender:
         with self._lock:
             left = deadline - time.monotonic()
             if not self._wait(lambda: self._current is not route, left):
-                raise Timeout(f"connector {self.name}: its target did not come back")
+                self.counts.add_call(0.0, failed=True)
+                raise Timeout(
+                    f"connector {self.name}: its target has failed or did not come back"
+                )
         return getattr(self._proxy, name)(*args, **kwargs)
 
     def close(self) -> None:
