@@ -353,6 +353,10 @@ def test_a_robot_that_is_being_stopped_says_what_that_waits_for(
     assert isinstance(status, RobotStatus)
     [sentence] = status.under_way
     assert sentence.startswith("the stop waits for `deactivate` and `cleanup` of '")
+    slow = ComponentStatus(name="thinker", state="active", handler="deactivate")
+    managed.agents.report_component("right", slow)
+    [sentence] = managed.manager.status().under_way
+    assert sentence == "the stop waits for `deactivate` and `cleanup` of 'thinker'"
 
 
 @pytest.mark.parametrize("command", [TapCommand("a.b", "me"), LogCommand(), COMMAND])

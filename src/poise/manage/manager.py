@@ -216,8 +216,9 @@ class Manager:
 
     def _stop_waits(self) -> Iterator[str]:
         """Yield what a stop waits for, in words; from any thread."""
-        known = located(self._live.agents.statuses())
-        if names := sorted({component.name for _, component in known}):
+        known = [each for _, each in located(self._live.agents.statuses())]
+        ending = [c for c in known if c.handler in {"deactivate", "cleanup"}]
+        if names := sorted({component.name for component in ending or known}):
             yield f"the stop waits for `deactivate` and `cleanup` of {listed(names)}"
 
     def work(self, limit: float) -> None:
