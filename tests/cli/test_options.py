@@ -95,6 +95,19 @@ def test_ros_2_is_not_watched_for_what_no_robot_file_can_have(
     assert "watching" not in done.stderr
 
 
+def test_limits_are_times_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))  # where no robot runs
+    for words, option in {
+        ("plan", str(tmp_path / "none.yaml")): "--budget",
+        ("call", "valve.watering", "pour"): "--limit",
+    }.items():
+        for time, is_one in {"500ms": True, "0.5": True, "soon": False}.items():
+            done = run_poise(*words, option, time)
+            assert done.returncode == 2
+            says = f"{option} {time}: '{time}' is not a time such as 200 ms"
+            assert (says in done.stderr) == (not is_one)
+
+
 @pytest.mark.parametrize("words", [["record"], ["hz", "counter.count"]])
 def test_a_time_is_said_as_everywhere(
     words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -143,7 +143,7 @@ def busy(what: str) -> AbstractContextManager[object]:
     return Console(stderr=True, highlight=False).status(f"{what} ...")
 
 
-def parse_option(option: str, text: str, dimension: Dimension) -> float:
+def parse_option(option: str, text: str | float, dimension: Dimension) -> float:
     """Return the quantity that an option was given, in SI."""
     try:
         return parse(text, dimension)

@@ -6,13 +6,14 @@ import math
 import re
 import sys
 import time
+from functools import partial
 from typing import Annotated, Any
 
 import typer
 import yaml
 
 from poise.cli.main import Interrupts
-from poise.cli.options import AsJson, print_json, running
+from poise.cli.options import AsJson, parse_option, print_json, running
 from poise.cli.running_robot_command import Robot
 from poise.errors import (
     CalleeError,
@@ -25,7 +26,7 @@ from poise.errors import (
 from poise.runtime.connectors.tap import Plain
 from poise.session.running_robots.running import NoManager, connect
 from poise.session.running_robots.running_component import RunningComponent, value_of
-from poise.units import counted
+from poise.units import SECONDS, counted
 
 _MOST_FAILURES = 10
 """`poise pub --rate` ends when more messages than these fail one after the other."""
@@ -34,7 +35,12 @@ _LOOK_EVERY = 0.1
 _NAMED = re.compile(r"([A-Za-z_]\w*)=(.*)", re.DOTALL)
 Port = Annotated[str, typer.Argument(metavar="COMPONENT.PORT", show_default=False)]
 Limit = Annotated[
-    float, typer.Option(metavar="SECONDS", help="How long to wait at most; up to 50.")
+    float,
+    typer.Option(
+        metavar="TIME",
+        parser=partial(parse_option, "--limit", dimension=SECONDS),
+        help="How long to wait at most, such as 500ms or 5s; up to 50s.",
+    ),
 ]
 
 
@@ -57,7 +63,7 @@ def call_command(
     --------
     poise call heater.heating heat 0.4
 
-    poise call heater.heating heat power=0.4 --limit 5 --json
+    poise call heater.heating heat power=0.4 --limit 5s --json
     """
     component, name = _component(port, robot)
     places, names = [], {}

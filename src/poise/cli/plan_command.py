@@ -13,7 +13,15 @@ from rich.markup import escape
 
 from poise import plan, units
 from poise.cli.main import Interrupts
-from poise.cli.options import AsJson, Set, arguments_of, busy, in_file, print_json
+from poise.cli.options import (
+    AsJson,
+    Set,
+    arguments_of,
+    busy,
+    in_file,
+    parse_option,
+    print_json,
+)
 from poise.errors import UsageError, unknown
 from poise.estimate.outcomes import Conditions
 from poise.estimate.success_rates import learned
@@ -56,7 +64,11 @@ def plan_command(
     ] = "auto",
     budget: Annotated[
         float | None,
-        typer.Option(help="Time to decide, in seconds: 0.1, or 0.26 for phases."),
+        typer.Option(
+            metavar="TIME",
+            parser=partial(parse_option, "--budget", dimension=units.SECONDS),
+            help="Time to decide, such as 5s; else 0.1s, or 0.26s for phases.",
+        ),
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the search.")] = 0,
     steps: Annotated[
