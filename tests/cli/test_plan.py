@@ -236,6 +236,13 @@ def test_a_phase_that_does_not_fit_says_why(phases_file: Path) -> None:
     )
 
 
+def test_a_phase_says_what_is_suspended_in_it(phases_file: Path) -> None:
+    said = call(phases_file, "--task", "serve", "--without", "right", "--fewer").stdout
+    assert "suspended in go: " in said
+    assert "suspended in look" not in said
+    assert "not everything fits: phase 'go'" in said
+
+
 def test_explains_a_component_in_a_phase(phases_file: Path) -> None:
     asked = (phases_file, "--task", "serve", "--explain", "eyes", "--phase", "go")
     answer = json.loads(call(*asked, "--json").stdout)

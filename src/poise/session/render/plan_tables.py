@@ -232,10 +232,13 @@ def _phases(task_result: plan.TaskResult) -> tuple[RenderableType, ...]:
             "fits" if result.feasible else "[bold red]does not fit[/]",
         )
     parts: list[RenderableType] = [rows]
+    parts += [
+        _line(f"suspended in {name}", ", ".join(result.suspended))
+        for name, result in task_result.results.items()
+        if result.suspended
+    ]
     if task_result.reason:
-        head = (
-            "suspended: not everything fits" if task_result.feasible else "not feasible"
-        )
+        head = "not everything fits" if task_result.feasible else "not feasible"
         parts.append(_line(head, task_result.reason))
     for name, result in task_result.results.items():
         parts += [f"{name}: {f} by {by}" for f, by in result.architectures.items()]
