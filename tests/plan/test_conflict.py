@@ -51,6 +51,14 @@ def test_names_the_pinned_components_that_overfill_a_computer() -> None:
     assert "h0" in result.conflict.limits[0]
 
 
+def test_names_no_more_components_than_people_read() -> None:
+    """Each once, whatever the order of their sizes."""
+    problem = Problem(components=components(*range(1, 31)), computers=computers(460))
+    assert plan.solve(problem).reason.startswith(
+        "c2, c3, c4, c5, c6, c7, c8, c9, c10, c11, c12, c13 and 16 more together need"
+    )
+
+
 def test_says_how_much_all_computers_are_short_of() -> None:
     result = plan.solve(
         Problem(components=components(2, 2, 2), computers=computers(2, 2.5))

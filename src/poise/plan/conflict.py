@@ -24,7 +24,7 @@ from poise.plan.relaxation import (
     rises,
 )
 from poise.plan.result_records import Ask, Conflict
-from poise.plan.violations import Late, amount_of, late
+from poise.plan.violations import Late, amount_of, late, named
 
 STEPS = 100_000
 """How many nodes, and how many search moves, one question may take."""
@@ -267,12 +267,12 @@ def _sentences(part: Problem, limits: list[Limit]) -> tuple[str, ...]:
 def _sum_of(arrays: Arrays, short: ShortUnits) -> str:
     k = short.resource
     resource = arrays.resources[k]
-    names = arrays.names(short.units)
+    names = arrays.names(sorted(short.units))
     where = [arrays.problem.computers[h].name for h in short.computers]
     need = sum(arrays.demand[u * arrays.r + k] for u in short.units)
     limits = [arrays.limit[h * arrays.r + k] for h in short.computers]
     verb = "needs" if len(names) == 1 else "together need"
-    sentence = f"{', '.join(names)} {verb} {amount_of(resource, need)} {resource}"
+    sentence = f"{named(names)} {verb} {amount_of(resource, need)} {resource}"
     if len(where) == 1:
         return f"{sentence}; {where[0]} has {amount_of(resource, limits[0])}"
     if fits(need, sum(limits)):

@@ -29,7 +29,15 @@ from poise.plan.result_records import (
     TimeTaken,
 )
 from poise.plan.summed_times import seconds
-from poise.plan.violations import late, loads, obstacle, shortages, tightest, violations
+from poise.plan.violations import (
+    late,
+    loads,
+    named,
+    obstacle,
+    shortages,
+    tightest,
+    violations,
+)
 
 LONGEST_TRACE = 2_000
 """How many trials (components x computers) a trace is worked out for."""
@@ -290,7 +298,7 @@ class Result:
 
 
 def _sentence(conflict: Conflict) -> str:
-    names, limits = ", ".join(conflict.components), "; ".join(conflict.limits)
+    names, limits = named(conflict.components), "; ".join(conflict.limits)
     if not limits.startswith(names):
         limits = f"{names} cannot hold together: {limits}"
     return f"{limits}. It would fit with {conflict.relaxation}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from poise.model.hardware import fits
@@ -12,6 +12,14 @@ from poise.plan.summed_times import parts, seconds
 from poise.units import format_bandwidth, format_bytes, format_seconds
 
 KIBIBYTE, MILLION = 1024, 1e6
+MOST_NAMED = 12
+
+
+def named(names: Sequence[str]) -> str:
+    """Return names for people, shortened where they are many."""
+    more = len(names) - MOST_NAMED
+    said = ", ".join(names[:MOST_NAMED])
+    return f"{said} and {more} more" if more > 1 else ", ".join(names)
 
 
 def amount_of(resource: str, amount: float) -> str:
