@@ -136,6 +136,9 @@ def test_what_is_late_on_a_crowded_computer_moves_though_its_demand_fits(
     assert found.acts
     assert found.proposal is not None
     assert len({*found.proposal.placement.values()}) == 2
+    needs = found.proposal.shifted["a"]
+    assert needs.mean == 0.24  # as `poise status` shows
+    assert needs.counted > 0.24
 
 
 def test_what_is_late_for_another_reason_stays_on_a_crowded_computer(

@@ -181,19 +181,7 @@ def _with_urgency(situation: Situation) -> Situation:
         and timer.takes >= _CROWDED * timer.deadline > 0
         and timer.computer in crowded
     }
-    return replace(
-        situation,
-        demand_estimates=tuple(
-            replace(
-                need,
-                estimate=replace(
-                    need.estimate,
-                    mean=factors.get(need.component, 1.0) * need.estimate.mean,
-                ),
-            )
-            for need in situation.demand_estimates
-        ),
-    )
+    return replace(situation, urgency=factors)
 
 
 def _change(proposal: Proposal, gain: float, cost: float) -> str:

@@ -56,6 +56,8 @@ class Situation(Struct, frozen=True, kw_only=True, dict=True):
     chains: tuple[ChainAge, ...] = ()
     # what the components need, also those that ran before and may run again
     demand_estimates: tuple[DemandEstimate, ...] = ()
+    # component -> how many times its CPU counts, as it is late; else once
+    urgency: Mapping[str, float] = {}
     statuses: Mapping[str, AgentStatus] = {}  # computer -> what its agent reported last
     traffic: Mapping[str, ConnectorProfile] = {}  # connector -> what goes over it now
     # component -> the downtime of its last move [s]
@@ -117,7 +119,7 @@ class Situation(Struct, frozen=True, kw_only=True, dict=True):
     @cached_property
     def shifted(self) -> Mapping[str, PresentDemand]:
         """Component -> its demand now, where that is not what was counted with."""
-        return present_demands(self.robot, self.demand_estimates)
+        return present_demands(self.robot, self.demand_estimates, self.urgency)
 
     @cached_property
     def robot_now(self) -> Robot:

@@ -8,6 +8,7 @@ from collections.abc import Collection, Iterable, Mapping
 from math import inf
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from poise.estimate.demands import shifted_cpu_demand
 from poise.estimate.online import Drift, Estimate, Reading, RunningEstimate
@@ -408,18 +409,25 @@ class PresentDemand(Struct, frozen=True, kw_only=True):
 
 
 def present_demands(
-    robot: Robot, demand_estimates: Iterable[DemandEstimate]
+    robot: Robot,
+    demand_estimates: Iterable[DemandEstimate],
+    urgency: Mapping[str, float],
 ) -> dict[str, PresentDemand]:
-    """Return the demands that are not what was counted with: shifted, or too small."""
+    """Return the demands that are not what was counted with: shifted, or too small.
+
+    `urgency`: component -> how many times what it needs counts; else once.
+    """
     components, found = {c.name: c for c in robot.components()}, {}
     for need in demand_estimates:
         now, component = need.estimate, components.get(need.component)
         if component is None or now.error is None:
             continue
         demand = component.demand.get("cpu", 0.0)
-        if now.drift is None and now.mean - now.error <= demand:
+        mean = urgency.get(need.component, 1.0) * now.mean
+        if now.drift is None and mean - now.error <= demand:
             continue
-        needed = shifted_cpu_demand(demand, need.expected, now)
+        wanted = replace(now, mean=mean)
+        needed = shifted_cpu_demand(demand, need.expected, wanted)
         usable = (_most(component, computer) for computer in robot.computers)
         most = max(usable, default=0.0)  # all of them may be out of reach
         found[need.component] = PresentDemand(
