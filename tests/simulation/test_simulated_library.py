@@ -10,10 +10,14 @@ import threading
 import time
 import uuid
 from collections.abc import Callable
+from functools import partial
+from types import ModuleType
 from typing import Any
 
 import pytest
 
+from poise.clock import boot_id
+from poise.manage.tasks import saved_tasks, task_manager
 from poise.simulation import choices
 from poise.simulation.choices import Choices
 from poise.simulation.network import Addresses, Network
@@ -52,6 +56,17 @@ def test_sleeps_and_clocks_are_virtual(run: Run) -> None:
     assert began == 50.0
     assert slept == pytest.approx(100.0, abs=1e-3)
     assert wall == pytest.approx(100.0, abs=1e-3)
+
+
+def test_each_computer_knows_its_own_start(run: Run) -> None:
+    """A manager that takes over elsewhere sees that its clock is another one."""
+    for module in (saved_tasks, task_manager):
+        assert run(partial(_own_boot_id, module)) == f"{'a':-<36}"
+        assert _own_boot_id(module) == boot_id()
+
+
+def _own_boot_id(module: ModuleType) -> Any:
+    return vars(module)["boot_id"]()
 
 
 def test_code_outside_of_the_simulation_reads_the_real_clock(

@@ -29,6 +29,7 @@ from typing import Any
 
 import zenoh
 
+from poise.manage.tasks import saved_tasks, task_manager
 from poise.simulation.robot.simulated_process import Process
 from poise.simulation.scheduler import (
     SLACK,
@@ -145,7 +146,12 @@ def _clocks(scheduler: Scheduler) -> list[Replaced]:
     def sleep(seconds: float) -> None:
         scheduler.wait(max(seconds, SLACK), "sleep")
 
+    def boot_id() -> str:  # as long as a real one: it is sent in messages
+        return f"{_host(scheduler).computer.name:-<36}"
+
     return [
+        (saved_tasks, "boot_id", boot_id),
+        (task_manager, "boot_id", boot_id),
         (time, "time", wall),
         (time, "monotonic", monotonic),
         (time, "perf_counter", monotonic),
