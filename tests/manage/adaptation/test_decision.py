@@ -318,6 +318,15 @@ def test_a_chain_that_is_slow_off_the_wire_is_explained(situation: Make) -> None
     )
 
 
+def test_data_that_is_late_at_times_is_said_to_be(situation: Make) -> None:
+    at_times = replace(LATE, ages={"a": 0.0, "b": 0.067}, used=9, missed=2)
+    found = decide(with_chain(situation(), at_times))
+    assert found.why.startswith(
+        "the data of chain 'c' must not be older than 100 ms and was older at 2 of 9 "
+        "uses, and in the mean is 67 ms old (a -> b 67 ms)"
+    )
+
+
 def test_data_that_did_not_arrive_is_not_said_to_be_slow_off_the_wire(
     situation: Make,
 ) -> None:

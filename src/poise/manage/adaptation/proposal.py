@@ -154,12 +154,15 @@ def late(situation: Situation) -> str:
 
 
 def _sentence(chain: ChainAge) -> str:
+    age, often = chain.ages[chain.last], ""
+    if age <= chain.deadline:
+        often = f"was older at {chain.missed} of {chain.used} uses, and in the mean "
     under_way = max(0.0, sum(chain.wires.values()))
     arrived = f"; what arrived was under way for {format_seconds(under_way)}"
     return (
         f"the data of chain '{chain.chain}' must not be older than "
-        f"{format_seconds(chain.deadline)} and is "
-        f"{format_seconds(chain.ages[chain.last])} old ({chain})"
+        f"{format_seconds(chain.deadline)} and {often}is "
+        f"{format_seconds(age)} old ({chain})"
         f"{arrived if under_way else ''}"
     )
 
