@@ -24,6 +24,31 @@ source.close()
 """
 
 
+LEFT = """
+import gc
+from poise.ros2 import ros_context
+from poise.ros2.executor_source import ExecutorSource
+
+ros_context.join({})
+node = ros_context.node_of("left")
+node.create_timer(0.001, print)
+source = ExecutorSource(node, print)
+assert source.wait(30.0)
+source.close()
+del source
+gc.collect()
+"""
+
+
+@pytest.mark.slow
+def test_a_callback_that_was_due_leaves_without_a_warning() -> None:
+    argv = [sys.executable, "-c", LEFT]
+    done = subprocess.run(
+        argv, capture_output=True, text=True, timeout=LONG, check=True
+    )
+    assert (done.stdout, done.stderr) == ("", "")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("end", ["node.destroy_node()", "ros_context.leave()"])
 def test_a_node_that_was_destroyed_is_given_up(end: str) -> None:

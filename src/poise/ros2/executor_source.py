@@ -28,6 +28,7 @@ class ExecutorSource:
         )
         self._give_up = give_up
         self._is_woken = self._is_waiting = False
+        self._task: Any = None
 
     def wait(self, limit: float | None) -> Work | None:
         """Wait up to `limit` [s] for a callback that is due, or until `wake`."""
@@ -47,6 +48,7 @@ class ExecutorSource:
             return None
         finally:
             self._is_waiting = self._is_woken = False
+        self._task = task
         return _what(entity), partial(_run, task)
 
     def wake(self) -> None:
@@ -56,7 +58,9 @@ class ExecutorSource:
             self._executor.wake()
 
     def close(self) -> None:
-        """End the executor."""
+        """End the executor, and the callback that was due and did not run."""
+        if self._task is not None and not self._task.executing():
+            self._task.cancel()  # else Python warns of it in the component's log
         self._executor.shutdown()
 
     def _woken(self) -> bool:
