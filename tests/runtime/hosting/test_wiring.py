@@ -457,6 +457,13 @@ def test_what_cannot_cross_is_refused_where_it_is_sent(pair: Pair) -> None:
 
 
 @pytest.mark.parametrize("pair", ["local", "remote"], indirect=True)
+def test_a_result_that_cannot_cross_is_no_error_of_the_callee(pair: Pair) -> None:
+    source, _ = start(pair, "sums")
+    with pytest.raises(CannotCross, match=r"add over .* its result .*cannot cross"):
+        source.sums.add(1 << 63, 1 << 63)
+
+
+@pytest.mark.parametrize("pair", ["local", "remote"], indirect=True)
 def test_what_is_refused_again_and_again_is_logged_once(
     pair: Pair, caplog: pytest.LogCaptureFixture
 ) -> None:

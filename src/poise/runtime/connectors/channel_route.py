@@ -282,10 +282,19 @@ class ReceivingEnd(Struct, frozen=True, kw_only=True):
             arguments = with_stamps(arguments, spec.carries)
             result = with_stamps(result, spec.answers)
             run = served(run, target.ages, spec, self.remote_clock)
+
+        def encode(value: object) -> Pieces:
+            try:
+                return segments(result, value, _RESULT, tag=tag)
+            except WireError as error:  # the callee did not raise it
+                return _failure(
+                    WireError(f"it was called, but its result is lost: {error}")
+                )
+
         return ServedCall(
             decode=arguments.decode,
             method=run,
-            encode=lambda value: segments(result, value, _RESULT, tag=tag),
+            encode=encode,
             exclusion=target.exclusion,
             limit=spec.limit,
             counts=self.feed.counts,
@@ -363,7 +372,7 @@ def _raise_failure(answer: Frame) -> NoReturn:
     if not text and type_name == "Unavailable":
         raise Unavailable(message)
     if not text and type_name == "WireError":
-        raise WireError(f"the other end refused the call: {message}")
+        raise WireError(f"the other end says: {message}")
     error = CalleeError(type_name, message, text)
     error.add_note(f"Raised in the callee:\n{text}")
     raise error
