@@ -220,3 +220,21 @@ def test_what_is_simulated_is_not_learned(tmp_path: Path) -> None:
     assert (task.state, "its limit of 1 s is over" in task.why) == ("failed", True)
     assert task.since - task.began == pytest.approx(1.0, abs=0.6)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.slow
+def test_what_was_due_while_a_lease_had_ended_goes_on() -> None:
+    rehearsal = Rehearsal(structs.replace(plan_of(), seconds=20.0), seed=1)
+    rehearsal.come_up()
+    rehearsal.advance(1.0)
+    containers = rehearsal._robot.containers()
+    for _ in range(30):
+        for container in containers:
+            container.execution.set_lease_end(0.0)
+            container.lease_end = 0.0
+        rehearsal.advance(0.037)
+    rehearsal.advance(1.0)
+    before = rehearsal.report().messages
+    rehearsal.advance(5.0)
+    assert rehearsal.report().messages > before
+    rehearsal.close()

@@ -119,8 +119,16 @@ class SimulatedContainer:
 
     def extend_lease(self, until: float) -> None:
         """Let leased components work until a moment [s, CLOCK_BOOTTIME]."""
+        had_ended = self.lease_end <= self.process.computer.boottime()
         self.lease_end = until
         self.execution.set_lease_end(self.process.computer.moment_of(until))
+        if had_ended:
+            self.process.after(0.0, self._begin_due)
+
+    def _begin_due(self) -> None:
+        """Begin what was due while the lease had ended."""
+        for component in self.components.values():
+            component.executor.work()
 
     def note_change(self) -> None:
         """Report soon, and let steps that wait look again."""
