@@ -378,7 +378,7 @@ def test_what_a_command_started_belongs_to_it(book: Book) -> None:
     counters = book.counters("driver")
     with subprocess.Popen([sys.executable, "-S", "-c", REAPS]) as process:
         counters.watch(process.pid)
-        # ticks are cut off; Python's own start may take the last part before the third's
+        # ticks are cut off; the third may start after Python's own time is enough
         wait_until(lambda: book.cpu("driver") >= 0.88 and child_of(book, process.pid))
         assert counters.cpu() == pytest.approx(book.cpu("driver"), abs=0.1)
         read = book.reader.read()
