@@ -103,6 +103,7 @@ class FakeAgents:
         self.checkpoints = CheckpointCopies()
         self.own_keys = None
         self.heartbeats = self
+        self.is_leased = True
         self.gone: set[str] = set()
         self.others: dict[str, str] = {}
         self.lasting: set[str] = set()
@@ -225,6 +226,9 @@ class FakeAgents:
 
     def obey(self, computer: str) -> bool:
         return computer not in self.strangers | self.gone
+
+    def have_leases_ended(self, computers: Collection[str]) -> bool:
+        return self.lasting_leases.isdisjoint(computers)
 
     def heard_by(self, computer: str) -> str:
         return self.hearers.get(computer, "")

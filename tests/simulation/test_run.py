@@ -100,6 +100,19 @@ def test_a_manager_that_was_replaced_undoes_nothing_when_the_next_one_is_paused(
         assert moved
 
 
+@pytest.mark.slow
+def test_nothing_works_twice_where_force_does_not_reach_what_others_hear(
+    scenario: Scenario,
+) -> None:
+    faults = (
+        SimulatedFault(5.0, "clog link", "b", "c", lasts=3.8),
+        SimulatedFault(6.3, "take over", "c"),
+    )
+    scenario = structs.replace(scenario, faults=faults, seconds=12.0)
+    for seed in (0, 1, 2, 3):  # of these, components had two incarnations at work
+        assert simulate(scenario, seed).message == ""
+
+
 def test_a_lease_that_is_kept_too_long_is_found(
     scenario: Scenario, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -9,6 +9,7 @@ from msgspec.structs import replace
 
 from poise.estimate.code_version import version_of
 from poise.manage.agent_connections.agents import Agents
+from poise.manage.deploy import takeover
 from poise.manage.deploy.adoption import authoritative, found_in, joined_by
 from poise.manage.deploy.deployment_layout import DeploymentLayout
 from poise.manage.deploy.desired import Desired, Incarnation
@@ -140,6 +141,20 @@ def test_a_person_may_say_that_nobody_else_runs_it(robot: Robot) -> None:
     cut.take_over(by_force=True)
     assert cut.goals("thinker") == [("right", 4, "active")]
     assert cut.lost.computers() == {"left"}
+
+
+def test_force_starts_nothing_of_a_computer_that_another_one_hears(
+    robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(takeover, "LEASES_END_WITHIN", 0.0)
+    cut = Cut(robot, "right", GRABBER, THINKER, fenced=True)
+    cut.agents.lasting_leases, cut.agents.hearers = {"left"}, {"left": "right"}
+    cut.take_over(by_force=True)
+    assert cut.goals("thinker") == [("right", 4, "inactive")]
+    assert any(
+        "computer 'left' is out of reach, but 'right' hears it" in entry.what
+        for entry in cut.journal.entries()
+    )
 
 
 def test_force_starts_nothing_of_a_computer_that_is_there_and_was_not_claimed(

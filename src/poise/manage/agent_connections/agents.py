@@ -102,7 +102,7 @@ class Agents(AgentReports):
     ) -> None:
         super().__init__(robot, endpoints, clock)
         self.election = election
-        self._is_leased = is_leased
+        self.is_leased = is_leased
         self._claims = Claims(
             manager_id(control), endpoints, election, is_leased=is_leased
         )
@@ -244,10 +244,13 @@ class Agents(AgentReports):
         self._claims.begin_term(self.statuses().values())
         for computer in sorted(computers):
             answer = self._claim(computer, take_over=take_over)
-            if self._is_leased:
+            if self.is_leased:
                 self.heartbeats.start()
-            if isinstance(answer, Claimed) and answer.deployment is not None:
-                deployments[computer] = answer.deployment
+            if isinstance(answer, Claimed):
+                if take_over:  # also what is out of reach may be claimed then
+                    self._note_signs(self._endpoints.keys() - self.reached(), [answer])
+                if answer.deployment is not None:
+                    deployments[computer] = answer.deployment
             self.wait_news(
                 lambda c=computer: self.obey(c),  # type: ignore[misc]
                 ANSWER_LIMIT,
@@ -289,13 +292,10 @@ class Agents(AgentReports):
         for name, answer in answers.items():
             self._claims.accept(name, answer)
         self.heartbeats.start()
-        for name in votes.keys() - answers.keys():
-            heard = [
-                min(a.silent.get(n, 0.0) for n in (name, MANAGER))
-                for a in answers.values()
-            ]
+        away = votes.keys() - answers.keys()
+        for name in away:
             self.heartbeats.forget(name)
-            self.heartbeats.note_ended(name, min(heard))
+        self._note_signs(away, answers.values())
         until = self._clock.now() + _VOTE_LIMIT
         while not self.heartbeats.leads():
             if self._clock.now() >= until:
@@ -303,6 +303,15 @@ class Agents(AgentReports):
             self._clock.sleep(_LOOK_AT_VOTES)
         self.wait_news(lambda: all(map(self.obey, answers)), ANSWER_LIMIT)
         return answers
+
+    def _note_signs(self, away: Iterable[str], answers: Collection[Claimed]) -> None:
+        """Note when others heard agents that are out of reach, or their manager, last.
+
+        It may have extended their leases until then.
+        """
+        for name in away:
+            signs = (a.silent.get(n, 0.0) for a in answers for n in (name, MANAGER))
+            self.heartbeats.note_ended(name, min(signs))
 
     def _why_unconfirmed(self, voters: Iterable[str]) -> str:
         silent = [name for name in sorted(voters) if not self.heartbeats.answers(name)]
@@ -369,7 +378,7 @@ class Agents(AgentReports):
     def end_claim(self, computer: str, reply: PendingAnswer) -> None:
         """Take note that an agent accepted a claim."""
         self._claims.accept(computer, reply.answer, reply.token)
-        if self._is_leased:
+        if self.is_leased:
             self.heartbeats.start()
 
     def begin_deploy(self, computer: str, deployment: Deployment) -> PendingAnswer:
@@ -392,7 +401,7 @@ class Agents(AgentReports):
 
     def ends_soon(self, computer: str) -> bool:
         """Return whether the lease of a lost computer has ended, or does soon."""
-        return self._is_leased or self.heartbeats.have_leases_ended({computer})
+        return self.is_leased or self.heartbeats.have_leases_ended({computer})
 
     def revoke(self, computers: Iterable[str]) -> bool:
         """Obtain that components of lost computers may be started elsewhere.

@@ -93,8 +93,8 @@ class Reachability:
         self._ended_at.pop(computer, None)
 
     def note_ended(self, computer: str, now: float) -> None:
-        """Note that an agent is gone since `now` [s], as another connection says."""
-        self._ended_at[computer] = now
+        """Note that an agent is gone since `now` [s], or later, as others say."""
+        self._ended_at[computer] = max(now, self._ended_at.get(computer, -inf))
 
     def confirmed_at(self, now: float) -> float:
         """Return when this manager led for sure, at the latest [s]; else -inf.

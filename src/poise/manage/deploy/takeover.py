@@ -94,6 +94,9 @@ def start_or_take_over(
         # a person says that nobody else runs anything on the others, or a majority
         # does; not on one that was there, and did not let itself be claimed
         everyone = {computer.name for computer in live.robot.computers}
+        if live.agents.election is None:
+            away = everyone - live.claimed - unclaimed.keys()
+            unclaimed |= _at_work_elsewhere(live, away)
         live.claimed |= everyone - unclaimed.keys()
     statuses = live.agents.statuses()  # a lease may have ended meanwhile
     fenced = {name for name, status in statuses.items() if status.cut_off}
@@ -222,6 +225,24 @@ def _elected(live: LiveRobot, hint: str, *, by_force: bool) -> dict[str, Deploym
             live.clock.sleep(_LOOK_EVERY)
     known = {each.key for each in record.incarnations()}
     return {name: _with_only(known, each) for name, each in found.items()}
+
+
+def _at_work_elsewhere(live: LiveRobot, away: Collection[str]) -> dict[str, str]:
+    """Return computers that are out of reach, and that others hear, and why."""
+    heartbeats, left = live.agents.heartbeats, set(away)
+    if not live.agents.is_leased:  # nothing cuts them off
+        return {}
+    until = live.clock.now() + LEASES_END_WITHIN
+    while left := {n for n in left if not heartbeats.have_leases_ended({n})}:
+        if live.clock.now() >= until:
+            break
+        live.clock.sleep(_LOOK_EVERY)
+    return {
+        name: f"computer '{name}' is out of reach, but "
+        f"{repr(other) if (other := heartbeats.heard_by(name)) else 'another one'} "
+        "hears it: what may run there starts nowhere else until it is reached"
+        for name in sorted(left)
+    }
 
 
 def _with_only(known: Collection[tuple[str, int]], found: Deployment) -> Deployment:
