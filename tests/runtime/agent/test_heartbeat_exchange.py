@@ -144,7 +144,11 @@ def test_the_next_agent_of_a_robot_without_others_lets_components_go_on(
 
 
 def heard(
-    rig: Rig, number: int, sender: str = THE_MANAGER, confirmed: float | None = None
+    rig: Rig,
+    number: int,
+    sender: str = THE_MANAGER,
+    confirmed: float | None = None,
+    revoked: Mapping[str, int] = {},
 ) -> None:
     """Let the manager be heard, which has heard this agent, or another agent.
 
@@ -161,6 +165,7 @@ def heard(
         heard={"left": Echo(last, 0.0)},
         managed=0.0,
         manager="k",
+        revoked=revoked,
     )
     rig.exchange._hear([(beat, ("127.0.0.1", 3), now)])
 
@@ -218,6 +223,17 @@ def test_a_claim_after_the_lease_ended_lets_nothing_run_until_it_is_said_what(
     assert not rig.fence.refusal(1)  # the manager need not claim it again
     rig.fence.note_told()
     assert rig.beat(0.01) > 0
+
+
+def test_a_heartbeat_that_revokes_the_lease_extends_it_for_no_moment(rig: Rig) -> None:
+    """The next claim may come before the agent sends again, and judges."""
+    rig.exchange.begin("k", AGENTS, is_leased=True)
+    heard(rig, 1)
+    rig.beat(0.1)
+    rig.clock.sleep(0.9)  # it stood still, and what ran here was started elsewhere
+    rig.beat(0.0)
+    heard(rig, 2, revoked={"left": 1})
+    assert not rig.exchange.is_held()
 
 
 def test_a_claim_while_the_lease_lasts_interrupts_nothing(rig: Rig) -> None:

@@ -396,9 +396,12 @@ class HeartbeatExchange:
     def _has_ended(self, now: float, age: float, stalled: float) -> bool:
         if not self.is_leased:
             return stalled > UNCUT_LEASE
-        if self._lease.is_revoked(self._computer, self._fence.token):
+        if self._is_revoked():
             return True
         return now >= self._grace_until and self._until(now, age) <= now
+
+    def _is_revoked(self) -> bool:
+        return self._lease.is_revoked(self._computer, self._fence.token)
 
     def _until(self, now: float, age: float | None = None) -> float:
         """Return when leased components must stop [s]: they look themselves.
@@ -412,6 +415,8 @@ class HeartbeatExchange:
             return -inf
         if not self.is_leased:
             return now + UNCUT_LEASE
+        if self._is_revoked():
+            return -inf  # also a heartbeat that says so may extend it
         if self._votes or self._fence.is_managed() or now < self._grace_until:
             return self._lease.until(now, age)
         return now + LEASE
