@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
@@ -101,18 +102,19 @@ def emulate(kept: EmulatedSet, *words: str) -> subprocess.CompletedProcess[str]:
 
 def agent_of(kept: EmulatedSet, computer: str) -> int:
     """Return the process of a computer's agent, once there is one."""
-    found: list[int] = []
+    found: dict[int, int] = {}
 
     def look_for_it() -> bool:
         for pid in kept.computers[computer].running():
             words = words_of(pid)
             if b"agent" in words and computer.encode() in words:
-                found.append(pid)
+                with contextlib.suppress(OSError):  # it has ended meanwhile
+                    found[pid] = began(pid)
         return bool(found)
 
     wait_long(look_for_it)
     # what it forks has its command line for a moment
-    return min(found, key=began)
+    return min(found, key=found.__getitem__)
 
 
 def began(pid: int) -> int:
