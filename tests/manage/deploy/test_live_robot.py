@@ -307,6 +307,29 @@ def test_a_stop_ends_what_is_back_though_not_all_is(
     assert not agents.statuses()["right"].containers
 
 
+def test_what_no_lease_ends_starts_nowhere_else_while_its_computer_is_lost(
+    robot: Robot, agents: FakeAgents
+) -> None:
+    fixed = [
+        structs.replace(
+            each,
+            components=tuple(
+                structs.replace(c, movable=False) for c in each.components
+            ),
+        )
+        for each in robot.architectures
+    ]
+    run, _ = run_of(structs.replace(robot, architectures=tuple(fixed)), agents)
+    run.start()
+    run.goes_on_without_lost = True
+    new = structs.replace(run.placed["thinker"], computer="left", epoch=9)
+    agents.gone.add("right")
+    run.commit(run.desired.without(["thinker"]), "a test")
+    with pytest.raises(RunError, match="'thinker' may still be at work on 'right'"):
+        run.end_left_behind([new])
+    assert not agents.revoked
+
+
 def test_what_was_dropped_as_its_computer_was_lost_has_no_lease_when_it_starts_anew(
     robot: Robot, agents: FakeAgents
 ) -> None:

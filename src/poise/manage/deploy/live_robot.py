@@ -149,6 +149,12 @@ class LiveRobot(DesiredState):
             if i.component in names and i.key not in keys
         ]
         away = {i.computer for i in left} & self.agents.out_of_reach().keys()
+        for each in left:  # no lease ends what is not movable
+            if each.computer in away and each.component not in self.layout.leased:
+                raise RunError(
+                    f"component '{each.component}' may still be at work on "
+                    f"'{each.computer}', which is out of reach"
+                )
         for incarnation in left:
             if incarnation.computer not in away:
                 self.wait_ended(incarnation)
