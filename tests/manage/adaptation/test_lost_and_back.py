@@ -45,6 +45,14 @@ class Returning(Robbed):
         return [what for what in whats if "may be used again" in what]
 
 
+def with_a_checkpoint() -> Robbed:
+    """Return the robot, whose component 'low' keeps checkpoints."""
+    robot = robot_with().with_components(
+        lambda c: replace(c, checkpoint=1.0 if c.name == "low" else 0.0)
+    )
+    return Robbed(robot)
+
+
 def test_what_is_short_moves_there() -> None:
     back = Returning(cpu=0.6)
     back.look(1.0 + CALM)
@@ -75,10 +83,7 @@ def test_what_is_out_of_reach_is_not_back() -> None:
 
 
 def test_what_restarts_without_the_state_that_was_to_be_kept_is_said() -> None:
-    robot = robot_with().with_components(
-        lambda c: replace(c, checkpoint=1.0 if c.name == "low" else 0.0)
-    )
-    robbed = Robbed(robot)
+    robbed = with_a_checkpoint()
     start_together(robbed.run, {"low": "left", "high": "left"})
     (wrong,) = (each.what for each in robbed.journal.entries() if each.kind == "wrong")
     why = "this manager has no copy of its checkpoint"
@@ -91,10 +96,7 @@ def test_what_goes_on_on_a_lost_computer_has_lost_no_state(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Its lease may last: then nothing starts elsewhere."""
-    robot = robot_with().with_components(
-        lambda c: replace(c, checkpoint=1.0 if c.name == "low" else 0.0)
-    )
-    robbed = Robbed(robot)
+    robbed = with_a_checkpoint()
     run = robbed.run
 
     def last(*_: object) -> None:
@@ -112,10 +114,7 @@ def test_what_goes_on_without_a_checkpoint_that_was_refused_has_lost_no_state(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The computer that was to take it was cut off as well, for a moment."""
-    robot = robot_with().with_components(
-        lambda c: replace(c, checkpoint=1.0 if c.name == "low" else 0.0)
-    )
-    robbed = Robbed(robot)
+    robbed = with_a_checkpoint()
     run = robbed.run
     run.agents.checkpoints.note(
         CheckpointCopy(
@@ -139,10 +138,7 @@ def test_what_stays_where_it_was_keeps_its_checkpoints(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Those of what was to restart elsewhere, and did not, counted for ever."""
-    robot = robot_with().with_components(
-        lambda c: replace(c, checkpoint=1.0 if c.name == "low" else 0.0)
-    )
-    robbed = Robbed(robot)
+    robbed = with_a_checkpoint()
     run, checkpoints = robbed.run, robbed.run.agents.checkpoints
     before = run.placed["low"].epoch
 
