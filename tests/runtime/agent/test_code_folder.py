@@ -268,6 +268,19 @@ def test_a_version_that_is_deployed_again_is_the_last_one(tmp_path: Path) -> Non
     assert set(folder.versions()) == {versions[0], versions[2], versions[3]}
 
 
+def test_the_last_version_stays_though_the_clock_was_set_back(tmp_path: Path) -> None:
+    folder = CodeFolder(tmp_path)
+    codes = [archive_of(("code/a.py", b"%d" % number)) for number in range(4)]
+    versions = [digest_of(code) for code in codes]
+    for number in range(3):
+        install(folder, codes[number])
+        os.utime(tmp_path / versions[number], (4e9 + number, 4e9 + number))
+    assert install(folder, codes[3]) == Accepted()
+    assert folder.versions() == (versions[3], versions[2], versions[1])
+    assert ask(folder, InstallCode(versions[1])) == Accepted()
+    assert folder.versions() == (versions[1], versions[3], versions[2])
+
+
 @pytest.fixture
 def small_disk(tmp_path: Path) -> Iterator[Path]:
     if os.getuid() != 0:

@@ -43,6 +43,8 @@ from poise.wire.records.request_records import Accepted, Answer, Refused
 
 KEPT = 3
 """The last versions stay, whether or not they run."""
+_LATER = 1_000_000_000
+"""Times of files differ by so much on any file system that code is kept on [ns]."""
 _DIGEST = re.compile(r"[0-9a-f]{64}")
 _BUFFER = 1 << 20
 _NO_WHEEL = (
@@ -141,8 +143,7 @@ class CodeFolder:
     def _install(self, version: str) -> None:
         archive, new = self._whole(version), self._folder / f"{version}.new"
         if version in self._versions:
-            os.utime(self._folder / version)  # the last one, which stays longest
-            self._versions = self._look()
+            self._make_last(version)
             return
         if not archive.exists():
             raise RunError(f"version {version[:SHOWN]} was not sent")
@@ -159,8 +160,15 @@ class CodeFolder:
         except BaseException:  # nothing half done stays, whatever ends it
             shutil.rmtree(new, ignore_errors=True)
             raise
+        self._make_last(version)
         self._remove_old()
         self._remove_files()
+
+    def _make_last(self, version: str) -> None:
+        """Let a version stay longest, also when the clock was set back."""
+        last = (self._folder / self._look()[0]).stat().st_mtime_ns
+        os.utime(self._folder / version, ns=(last + _LATER,) * 2)
+        self._versions = self._look()
 
     def _wheels(self, manifest: Path) -> list[Path]:
         """Return the wheels for this computer that were sent; RunError: some were not.
@@ -192,7 +200,6 @@ class CodeFolder:
         return tuple(folder.name for folder in found)
 
     def _remove_old(self) -> None:
-        self._versions = self._look()
         for version in self._versions[KEPT:]:
             if version not in self._in_use:
                 shutil.rmtree(self._folder / version, ignore_errors=True)
