@@ -246,6 +246,21 @@ def test_all_is_told_though_the_clock_was_set_back(
     assert [line.text for line in again.lines] == ["after"]
 
 
+def test_a_container_that_starts_again_goes_on_though_the_clock_was_set_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = wall_time()
+    monkeypatch.setattr(output, "wall_time", lambda: now + 3600.0)
+    OutputFile(tmp_path, "hall").add("last words")
+    monkeypatch.setattr(output, "wall_time", lambda: now)
+    OutputFile(tmp_path, "hall").add("x" * LONGEST)
+    first = read(tmp_path)
+    assert [line.text for line in first.lines] == ["last words", "x" * LONGEST]
+    OutputFile(tmp_path, "hall").add("born again")
+    again = read(tmp_path, after=first.lines[-1].at)
+    assert [line.text for line in again.lines] == ["born again"]
+
+
 def test_what_is_logged_is_kept_without_its_time_and_passed_on_with_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -22,6 +22,8 @@ LARGEST = 256 << 10
 """When a file is larger, another is begun [bytes]; of a container two are kept."""
 LONGEST = 4_096
 """A longer line is cut [characters]."""
+_TAIL = 8 * LONGEST
+"""No line is longer [bytes]."""
 _BEING_WRITTEN = 50_000_000
 """What was written less long ago is told the next time, in its order [ns]."""
 _AHEAD = 1_000_000_000
@@ -58,12 +60,12 @@ class OutputFile:
         """
         component = component or getattr(_here, "component", self._container)
         with self._lock:
-            # no two lines at one moment, so that none is told twice or never
-            self._at = max(self._at + 1, int(wall_time() * 1e9))
-            line = f"{self._at}\t{component}\t{text[:LONGEST]}\n"
             try:
                 if self._fd < 0:
                     self._open()
+                # no two lines at one moment, so that none is told twice or never
+                self._at = max(self._at + 1, int(wall_time() * 1e9))
+                line = f"{self._at}\t{component}\t{text[:LONGEST]}\n"
                 self._size += os.write(self._fd, line.encode(errors="replace"))
                 if self._size > LARGEST:
                     self._begin_another()
@@ -107,8 +109,12 @@ class OutputFile:
             os.close(full)
 
     def _open(self) -> None:
-        self._fd = os.open(self._path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)
+        self._fd = os.open(self._path, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o600)
         self._size = os.fstat(self._fd).st_size
+        # what a process before wrote may be of before the clock was set back
+        whole = os.pread(self._fd, _TAIL, max(0, self._size - _TAIL)).split(b"\n")
+        moments = [each.partition(b"\t")[0] for each in whole[self._size > _TAIL :]]
+        self._at = max([self._at, *(int(at) for at in moments if at.isdigit())])
 
 
 class KeptLines(TextIOBase):
