@@ -360,8 +360,12 @@ def test_says_why_a_component_has_no_placement_and_refuses_one_that_is_none(
     [
         (("--smallest", "--fewer"), "--smallest and --fewer exclude each other"),
         (
+            ("--scale", "one=0.5", "--scale", "one=2"),
+            "--scale one=0.5 and --scale one=2 are about the same",
+        ),
+        (
             ("--scale", "one=0.5", "--scale", "ONE=2"),
-            "--scale one=0.5 and --scale ONE=2 are about the same",
+            "'one' and 'ONE' mean the same",
         ),
         (("--add", "x:cpu=1,cpu=2"), "cpu is both 1 and 2; name it once"),
         (("--add", "x:cpus=1"), "no resource 'cpus' (did you mean 'cpu'?)"),

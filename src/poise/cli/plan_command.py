@@ -474,12 +474,12 @@ def computer_of(text: str) -> Computer:
 
 
 def _factors(texts: Sequence[str]) -> dict[str, float]:
-    """Return name -> factor; UsageError for a name that is there twice, in any case."""
+    """Return name -> factor; UsageError for a name that is there twice."""
     given: dict[str, str] = {}
     factors = {}
     for text in texts:
         name, factor = _factor(text)
-        if (other := given.setdefault(name.lower(), text)) is not text:
+        if (other := given.setdefault(name, text)) is not text:
             raise UsageError(
                 f"--scale {other} and --scale {text} are about the same: give one"
             )

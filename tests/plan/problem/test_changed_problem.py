@@ -40,6 +40,13 @@ def test_scale_takes_a_resource_or_a_computer(two_computers: Problem) -> None:
         plan.scale(two_computers, {"gpu": 2.0})
 
 
+def test_scale_takes_the_computer_that_is_spelt_so(two_computers: Problem) -> None:
+    """Where two names differ only in case, the other one keeps what it has."""
+    problem = plan.add(two_computers, Computer(name="Small", capacity={"cpu": 1.0}))
+    twice = plan.scale(problem, {"Small": 2.0, "small": 3.0})
+    assert [h.capacity["cpu"] for h in twice.computers] == [4.0, 6.0, 2.0]
+
+
 def test_links_and_costs_go_with_their_computer(two_computers: Problem) -> None:
     costly = tuple(
         replace(c, cost={"large": 0.5, "small": 1.0}) for c in two_computers.components

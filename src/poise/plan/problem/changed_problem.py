@@ -146,31 +146,34 @@ def scale(problem: Problem, factors: Mapping[str, float]) -> Problem:
     """Return the problem with capacities multiplied.
 
     Each key of `factors` is a computer (all its capacities) or a resource (of every
-    computer), in any case of letters; each value is finite and >= 0.
+    computer), in any case of letters where none is spelt like it; each value is finite
+    and >= 0.
 
     Raises
     ------
     UsageError
-        When a name is neither.
+        When a name is neither, or two mean the same.
     """
-    computers = {h.name.lower(): h.name for h in problem.computers}
-    resources = {r.lower(): r for r in problem.resources}
+    known = dict.fromkeys([*(h.name for h in problem.computers), *problem.resources])
+    by: dict[str, str] = {}  # a computer or resource -> the key that means it
     for name in factors:
-        if name.lower() not in {**computers, **resources}:
-            choices = ", ".join([*computers.values(), *resources.values()])
+        alike = [k for k in known if k.lower() == name.lower()]
+        meant = [name] if name in known else alike
+        if not meant:
             raise UsageError(
-                f"{name!r} is neither a computer nor a resource ({choices})"
+                f"{name!r} is neither a computer nor a resource ({', '.join(known)})"
             )
-    lower = {name.lower(): factor for name, factor in factors.items()}
+        for each in meant:
+            if (other := by.setdefault(each, name)) != name:
+                raise UsageError(f"{other!r} and {name!r} mean the same: scale it once")
+    factor = {name: factors[key] for name, key in by.items()}
     return replace(
         problem,
         computers=tuple(
             replace(
                 h,
                 capacity={
-                    r: amount
-                    * lower.get(r.lower(), 1.0)
-                    * lower.get(h.name.lower(), 1.0)
+                    r: amount * factor.get(r, 1.0) * factor.get(h.name, 1.0)
                     for r, amount in h.capacity.items()
                 },
             )
