@@ -137,6 +137,23 @@ def test_a_component_goes_on_when_the_disk_is_full(
     assert said.count("\n") == 1
 
 
+@pytest.mark.parametrize("starts_again", [False, True])
+def test_a_line_that_a_full_disk_cuts_short_spoils_no_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, starts_again: bool
+) -> None:
+    file, write = OutputFile(tmp_path, "hall"), os.write
+    file.add("before")
+    monkeypatch.setattr(os, "write", lambda fd, data: write(fd, data[:5]))
+    file.add("cut short")
+    monkeypatch.undo()
+    monkeypatch.setattr(output, "_BEING_WRITTEN", 0)
+    assert "No space left on device" in file.trouble()
+    again = OutputFile(tmp_path, "hall") if starts_again else file
+    again.add("after")
+    assert [line.text for line in read(tmp_path).lines] == ["before", "after"]
+    assert all(line.at < 2**63 for line in read(tmp_path).lines)
+
+
 def test_a_component_goes_on_when_the_disk_of_its_agents_log_is_full(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import logging
 import os
 import sys
@@ -50,6 +51,7 @@ class OutputFile:
         self._at = 0
         self._fd = -1
         self._size = 0
+        self._is_cut_short = False
         self._trouble = ""
         self._lost: dict[str, tuple[str, float]] = {}
 
@@ -66,7 +68,7 @@ class OutputFile:
                 # no two lines at one moment, so that none is told twice or never
                 self._at = max(self._at + 1, int(wall_time() * 1e9))
                 line = f"{self._at}\t{component}\t{text[:LONGEST]}\n"
-                self._size += os.write(self._fd, line.encode(errors="replace"))
+                self._write(line.encode(errors="replace"))
                 if self._size > LARGEST:
                     self._begin_another()
             except OSError as error:  # the component goes on; all was passed on
@@ -98,6 +100,15 @@ class OutputFile:
             with contextlib.suppress(OSError):
                 os.write(_STDERR, message.encode())
 
+    def _write(self, line: bytes) -> None:
+        """Add a line, and end one that was cut short before; raises OSError."""
+        data = b"\n" * self._is_cut_short + line
+        written = os.write(self._fd, data)
+        self._size += written
+        self._is_cut_short = written < len(data)
+        if self._is_cut_short:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
     def _begin_another(self) -> None:
         # the number is free once it is closed, and may be a component's the next moment
         full, self._fd = self._fd, -1
@@ -113,6 +124,7 @@ class OutputFile:
         self._size = os.fstat(self._fd).st_size
         # what a process before wrote may be of before the clock was set back
         whole = os.pread(self._fd, _TAIL, max(0, self._size - _TAIL)).split(b"\n")
+        self._is_cut_short = bool(whole[-1])
         moments = [each.partition(b"\t")[0] for each in whole[self._size > _TAIL :]]
         self._at = max([self._at, *(int(at) for at in moments if at.isdigit())])
 
@@ -257,6 +269,6 @@ def _lines(path: Path, after: int) -> Iterator[OutputLine]:
         return
     for line in text.split("\n"):
         at, _, rest = line.partition("\t")
-        component, _, message = rest.partition("\t")
-        if at.isdecimal():
+        component, is_whole, message = rest.partition("\t")
+        if at.isdecimal() and is_whole:  # a full disk cuts lines short
             yield OutputLine(at=int(at), component=component, text=message)
