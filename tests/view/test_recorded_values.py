@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import base64
 import json
+from math import inf, nan
+from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
+import pytest
+from numpy.typing import NDArray
 
 from poise.manage.observe.chains import ChainReport
 from poise.view.robot_recording import (
@@ -16,6 +21,8 @@ from poise.view.robot_recording import (
     chain_row,
     schema_of,
 )
+from poise.wire.codec import pack, unpack
+from poise.wire.recording_file import MESSAGES, McapFile, said_in
 from poise.wire.records.status_records import Summary
 
 
@@ -44,6 +51,28 @@ def test_complex_numbers_are_written_as_bytes() -> None:
         1 + 2j,
         3 - 4j,
     ]
+
+
+@pytest.mark.parametrize(
+    ("value", "type_"),
+    [
+        (np.array([1.0, np.inf, -np.inf, np.nan], np.float32), NDArray[np.float32]),
+        (np.zeros((0, 3)), NDArray[np.float64]),
+        (np.array([b"raw"]), NDArray[np.bytes_]),
+        (np.array(["2026-11-30"], "M8[ns]"), NDArray[np.datetime64]),
+        ([-inf, nan, 1.0], list[float]),
+    ],
+)
+def test_what_is_recorded_is_played_as_it_was(
+    value: Any, type_: Any, tmp_path: Path
+) -> None:
+    with McapFile(tmp_path / "it.mcap", "robot") as file:
+        file.add(f"{MESSAGES}/eye.seen-mind.seen", None, 1.0, as_json({"it": value}))
+    (said,) = said_in(tmp_path / "it.mcap")
+    played = unpack(pack(said.value["it"]), type_)
+    np.testing.assert_equal(played, value)
+    assert getattr(played, "dtype", None) == getattr(value, "dtype", None)
+    assert np.shape(played) == np.shape(value)
 
 
 def test_a_chain_that_was_not_used_has_no_age() -> None:

@@ -6,7 +6,7 @@ import secrets
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from math import inf
+from math import inf, isfinite
 from numbers import Real
 from pathlib import Path
 from typing import Any, get_args
@@ -38,13 +38,14 @@ from poise.view.robot_view import (
     TimerRow,
 )
 from poise.wire.codec import Packed, unpack
-from poise.wire.recording_file import MESSAGES, McapFile, Schema, extra
+from poise.wire.recording_file import MESSAGES, McapFile, Schema, extra, float_as_bytes
 from poise.wire.records.request_records import TapReading
 
 MOST_LISTED = 1_000
-"""Arrays of more values are written as bytes, with their type and shape."""
-_COMPLEX = "c"
-"""So are numbers of this kind of NumPy's, which JSON does not have."""
+"""Arrays of more values are written as bytes, with their type and shape, and so is what
+JSON does not have."""
+_IN_JSON = "biufU"
+"""The kinds of NumPy's values that JSON has, those of `f` if they are finite."""
 
 
 def as_json(value: Any) -> Any:  # noqa: ANN401, any message
@@ -56,11 +57,19 @@ def as_json(value: Any) -> Any:  # noqa: ANN401, any message
     if isinstance(value, bytes | bytearray | memoryview):
         return base64_of(value)
     if not is_array(value):
-        return value
-    if value.size <= MOST_LISTED and value.dtype.kind != _COMPLEX:
+        is_lacking = isinstance(value, float) and not isfinite(value)
+        return float_as_bytes(value) if is_lacking else value
+    if value.size <= MOST_LISTED and _is_in_json(value):
         return value.tolist()
     shape, data = list(value.shape), base64_of(value.tobytes())
     return {"dtype": value.dtype.str, "shape": shape, "data": data}
+
+
+def _is_in_json(array: Any) -> bool:  # noqa: ANN401, NumPy's
+    """Return whether lists in JSON hold all that an array does."""
+    has_shape = array.size or array.ndim == 1  # an empty list has one side
+    kind = array.dtype.kind
+    return has_shape and kind in _IN_JSON and (kind != "f" or (abs(array) < inf).all())
 
 
 _LOOK_EVERY = 0.25

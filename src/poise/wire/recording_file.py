@@ -5,14 +5,17 @@ A recording that was killed ends with its last whole record, and is read as far 
 
 from __future__ import annotations
 
+import base64
 import contextlib
 import json
 import logging
 import os
+import struct
 import threading
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from importlib import import_module
+from math import inf, isnan, nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
@@ -246,6 +249,27 @@ class Said(Struct, frozen=True):
     value: Any
 
 
+def float_as_bytes(number: float) -> dict[str, Any]:
+    """Return what stands for infinity or NaN, which JSON lacks: an array of one."""
+    data = struct.pack("<d", nan if isnan(number) else number)
+    return {"dtype": "<f8", "shape": [], "data": base64.b64encode(data).decode()}
+
+
+_NOT_IN_JSON = [(float_as_bytes(number), number) for number in (inf, -inf, nan)]
+
+
+def _with_floats(value: Any) -> Any:  # noqa: ANN401, JSON's
+    """Return a value that was read, with the numbers that JSON lacks."""
+    if isinstance(value, list):
+        return [_with_floats(part) for part in value]
+    if not isinstance(value, dict):
+        return value
+    for written, number in _NOT_IN_JSON:
+        if value == written:
+            return number
+    return {name: _with_floats(part) for name, part in value.items()}
+
+
 def said_in(path: Path) -> Iterator[Said]:
     """Yield messages and calls as they went out; UsageError: it is no recording."""
     connectors: dict[int, str] = {}
@@ -257,7 +281,7 @@ def said_in(path: Path) -> Iterator[Said]:
                     connectors[record.id] = name
             case "Message" if record.channel_id in connectors:
                 try:
-                    value = from_json(record.data, Any)
+                    value = _with_floats(from_json(record.data, Any))
                 except MALFORMED as error:
                     raise UsageError(f"{path} is damaged: {error}") from error
                 at = record.log_time / 1e9
