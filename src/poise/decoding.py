@@ -98,6 +98,9 @@ def convert(value: object, type_: object, *, dec_hook: Hook | None = None) -> An
 
 
 def convert(value: object, type_: Any, *, dec_hook: Hook | None = None) -> Any:
-    """Return plain data as a value of a type; raises as `msgspec.convert`."""
+    """Return plain data as a value of a type; raises as `msgspec.convert`.
+
+    Keys may be texts, as JSON has them, where the type wants numbers.
+    """
     with _making:
-        return msgspec.convert(value, type_, dec_hook=dec_hook)
+        return msgspec.convert(value, type_, dec_hook=dec_hook, str_keys=True)

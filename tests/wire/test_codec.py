@@ -165,6 +165,16 @@ def test_plain_data_that_fits_becomes_an_array(values: Any, held: type) -> None:
     np.testing.assert_array_equal(array, np.asarray(values))
 
 
+def test_plain_data_fits_any_array_of_floating_numbers() -> None:
+    array = unpack(pack([1.5]), np.ndarray[Any, np.dtype[np.floating[Any]]])
+    assert array.tolist() == [1.5]
+
+
+def test_keys_are_texts_in_json() -> None:
+    assert unpack(pack({"7": "seven"}), dict[int, str]) == {7: "seven"}
+    assert unpack(pack({7: "seven"}), dict[int, str]) == {7: "seven"}
+
+
 def decoded_array(dtype: str, shape: tuple[int, ...], offset: int) -> Any:
     header = msgspec.msgpack.encode((dtype, shape, offset))
     body = msgspec.msgpack.encode({"what": msgspec.msgpack.Ext(1, header)})

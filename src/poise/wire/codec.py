@@ -156,7 +156,8 @@ def _array_of(type_: Any, value: Any) -> Any:  # noqa: ANN401, msgspec's hook
     if isinstance(value, dict) and value.keys() == {"dtype", "shape", "data"}:
         value = _recorded_array(value)
     if isinstance(value, list | int | float | bool):
-        value = _array_from_list(value, *_declared(type_)[:1])
+        wanted = (w for w in _declared(type_) if not w.__subclasses__())
+        value = _array_from_list(value, next(wanted, None))
     return _check(type_, value)
 
 
