@@ -43,6 +43,21 @@ def test_refuses_an_array_of_another_type() -> None:
         over_the_wire(np.ones(3, np.float32), NDArray[np.int8])
 
 
+class Positive(Message):
+    kelvin: float
+
+    def __post_init__(self) -> None:
+        assert self.kelvin >= 0, "below absolute zero"
+
+
+def test_refuses_what_a_message_asserts_not_to_be() -> None:
+    body, why = msgspec.msgpack.encode({"kelvin": -1.0}), "AssertionError: below absol"
+    with pytest.raises(WireError, match=f"not Positive: {why}"):
+        codec(Positive).decode(body, memoryview(b""))
+    with pytest.raises(WireError, match=why):
+        unpack(pack({"kelvin": -1.0}), Positive)
+
+
 class Anything(Message):
     what: Any
 

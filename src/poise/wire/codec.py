@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar, get_args
 import msgspec
 
 from poise.decoding import convert, msgpack_decoder
-from poise.errors import PoiseError
+from poise.errors import PoiseError, said
 
 if TYPE_CHECKING:
     import numpy as np
@@ -117,8 +117,9 @@ class Codec(Generic[T]):
                 return self._decode(body)  # type: ignore[no-any-return]
             finally:
                 _here.received = before
-        except MALFORMED as error:
-            raise WireError(f"not {self.name}: {error}") from error
+        # a check in a user's `__post_init__` may raise anything
+        except Exception as error:
+            raise WireError(f"not {self.name}: {why_not(error)}") from error
 
 
 class Packed(msgspec.Struct, frozen=True):
@@ -148,8 +149,15 @@ def unpack(packed: Packed, type_: Any = Any) -> Any:  # noqa: ANN401, any type
     plain = codec(Any).decode(packed.body, memoryview(packed.buffers))
     try:
         return convert(plain, type_, dec_hook=_array_of)
-    except (msgspec.ValidationError, *_UNFIT) as error:
-        raise WireError(str(error)) from error
+    except Exception as error:  # such a check may raise anything
+        raise WireError(why_not(error)) from error
+
+
+def why_not(error: Exception) -> str:
+    """Return why a value is none of its type, in words."""
+    if isinstance(error, MALFORMED):
+        return str(error)
+    return f"{type(error).__qualname__}: {said(error)}"
 
 
 def _array_of(type_: Any, value: Any) -> Any:  # noqa: ANN401, msgspec's hook

@@ -84,6 +84,22 @@ def test_what_the_type_checks_itself_is_said() -> None:
         as_declared(Ranged, {"least": 2, "most": 1})
 
 
+class Positive(Message):
+    gain: float
+
+    def __post_init__(self) -> None:
+        assert self.gain > 0, "it would swing"
+
+
+class Swinging(Component):
+    parameters: Positive
+
+
+def test_so_is_what_it_asserts() -> None:
+    with pytest.raises(UsageError, match=r"Swinging: AssertionError: it would swing"):
+        as_declared(Swinging, {"gain": -1})
+
+
 def test_a_parameter_that_was_a_real_number_stays_one() -> None:
     before = {"rate": 10.0, "count": 1, "on": 0.5, "inner": {"gain": 2.0}}
     after = {"rate": 5, "count": 2, "on": True, "inner": {"gain": 3, "new": 4}}

@@ -13,6 +13,7 @@ from msgspec import Struct
 from poise.decoding import convert
 from poise.errors import UsageError, did_you_mean, listed
 from poise.units import DIMENSIONS, parse
+from poise.wire.codec import why_not
 
 Values = Mapping[str, Any]
 """Parameters as the robot file has them."""
@@ -62,14 +63,15 @@ def problems(type_: type[Struct], values: Values) -> Iterator[tuple[str, str]]:
             continue
         try:
             convert(given[name], field.type)
-        except msgspec.ValidationError as error:
+        # a check in a `__post_init__` may raise anything
+        except Exception as error:  # noqa: BLE001
             is_fine = False
-            yield name, f"parameter '{name}' is {values[name]!r}: {error}"
+            yield name, f"parameter '{name}' is {values[name]!r}: {why_not(error)}"
     if is_fine:
         try:
             convert(given, type_)
-        except msgspec.ValidationError as error:  # of a check in its `__post_init__`
-            yield "", str(error)
+        except Exception as error:  # noqa: BLE001, such a check
+            yield "", why_not(error)
 
 
 def plain(parameters: Any) -> dict[str, Any]:  # noqa: ANN401, any type
