@@ -94,6 +94,32 @@ def test_says_why_an_alternative_was_not_chosen(robot: Robot) -> None:
         assert "quality +0.4" in found.reason
 
 
+def test_what_was_not_chosen_may_run_beside_other_alternatives(robot: Robot) -> None:
+    """Beside `plain`, `simple` fits; beside `large`, which runs now, it does not."""
+    large = ComponentEntry(name="large", demand={"cpu": 3.0})
+    plain = ComponentEntry(name="plain", demand={"cpu": 1.5})
+    talk = tuple(
+        Architecture(name=c.name, function="talk", quality=quality, components=(c,))
+        for c, quality in ((large, 1.0), (plain, 0.9))
+    )
+    big, small = (
+        replace(a, components=(replace(a.components[0], demand={"cpu": cpu}),))
+        for a, cpu in zip(robot.architectures[1:], (0.5, 2.0), strict=True)
+    )
+    computers = (Computer(name="head", capacity={"cpu": 3.5}),)
+    asked = replace(robot, computers=computers, links=(), connectors=())
+    asked = replace(asked, architectures=(big, small, *talk))
+    problem = plan.problem_of(asked)
+    result = plan.solve(problem)
+    assert result.architectures == {"find": "learned", "talk": "large"}
+    found = plan.explain(problem, result.placement, "simple")
+    assert isinstance(found, plan.Rejection)
+    assert found.objective is not None
+    assert found.objective.quality == pytest.approx(0.4 + 0.1)
+    assert found.change is not None
+    assert found.change.quality == pytest.approx(0.4 + 0.1)
+
+
 def test_static_places_one_alternative_and_is_never_below_the_least(
     robot: Robot,
 ) -> None:

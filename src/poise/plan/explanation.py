@@ -123,34 +123,39 @@ def explain(
 def _rejection(
     problem: Problem, placement: Mapping[str, str], bundle: Bundle
 ) -> Rejection:
-    """Place it with everything else that is placed, instead of its alternative."""
+    """Place it instead of its alternative, with what else runs, by any alternatives."""
     rivals = [
         b
         for b in problem.architectures
         if b.function == bundle.function and bundle.function and b != bundle
     ]
-    chosen = next((b.name for b in rivals if placement.keys() & {*b.components}), "")
-    if not (chosen or bundle.components):
+    placed = [b for b in problem.architectures if placement.keys() & {*b.components}]
+    rival = next((b for b in rivals if b in placed), None)
+    if rival is None and not bundle.components:
         raise UsageError(
             f"architecture {bundle.name!r} was chosen, and has no component to explain"
         )
-    present = [
+    served = {b.function for b in placed if b.function}
+    others = [
         b
         for b in problem.architectures
-        if b != bundle and placement.keys() & {*b.components}
+        if b != bundle and b not in rivals and (b in placed or b.function in served)
     ]
-    others = [b for b in present if b not in rivals]
     instead = solve(part(problem, [*others, bundle]))
-    now = evaluate(part(problem, present), placement)
+    present = part(problem, others if rival is None else [*others, rival])
+    now = evaluate(present, placement)
+    chosen = "" if rival is None else rival.name
     if instead.objective is None or now.objective is None:
         reason = f"with it, {instead.reason}"
         return Rejection(architecture=bundle.name, chosen=chosen, reason=reason)
     # Both against the best quality that there is.
     best = max([bundle.quality, *(b.quality for b in rivals)])
-    lost = sum(best - b.quality for b in rivals if b.name == chosen)
     weight = problem.objective.quality
-    with_it = instead.objective.with_quality((best - bundle.quality) * weight)
-    change = with_it - now.objective.with_quality(lost * weight)
+    with_it = instead.objective.with_quality(
+        instead.objective.quality + (best - bundle.quality) * weight
+    )
+    lost = 0.0 if rival is None else best - rival.quality
+    change = with_it - now.objective.with_quality(now.objective.quality + lost * weight)
     reason = (
         f"the best placement with it costs {change.total:.4g} more ({_most(change)})"
         if change.total >= 0
