@@ -105,6 +105,18 @@ def test_too_many_are_refused_and_none_waits_for_ever(component: Component) -> N
     assert all(call.result() for call in calls)
 
 
+def test_each_may_wait_for_a_call_that_its_callee_starts(component: Component) -> None:
+    callee = StartedCalls("callee", lambda _: None)
+    asked = threading.Barrier(MOST_OPEN)
+
+    def ask() -> int:
+        asked.wait(LONG)
+        return callee.start(lambda: 7).result()
+
+    calls = [component.calls.start(ask) for _ in range(MOST_OPEN)]
+    assert {call.result() for call in calls} == {7}
+
+
 def test_one_that_finds_no_thread_is_not_waited_for(
     component: Component, monkeypatch: pytest.MonkeyPatch
 ) -> None:

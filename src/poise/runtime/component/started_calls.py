@@ -22,12 +22,11 @@ from poise.runtime._calls import new_chain
 from poise.threads import take_poise_name
 from poise.units import counted
 
-_THREADS = 16
-"""So many calls of one container are under way at once; others wait."""
 ANSWER = "answer"
 """What takes an answer in a turn of its own is called so."""
 MOST_OPEN = 64
-"""The most unanswered calls of one component."""
+"""The most unanswered calls of one component. Each has a thread: one that waited for a
+thread might be what those on all threads wait for."""
 P = ParamSpec("P")
 R = TypeVar("R")
 Turn = Callable[[Callable[[], object]], object]
@@ -131,7 +130,7 @@ class StartedCalls:
         return StartedCall(answer, self)
 
     def _make(self, do: Callable[[], None]) -> None:
-        _threads().submit(do)
+        _threads(self._name).submit(do)
 
     def _counted(self, do: Callable[[], R]) -> Callable[[], R]:
         """Return what does the same, and counts: it excludes nothing."""
@@ -208,9 +207,9 @@ def _raise(error: BaseException) -> NoReturn:
 
 
 @cache
-def _threads() -> ThreadPoolExecutor:
-    # else they would count as the first component's own
-    return ThreadPoolExecutor(_THREADS, "started", take_poise_name, ("started",))
+def _threads(component: str) -> ThreadPoolExecutor:  # noqa: ARG001, each has its own
+    # without that name they would count as the component's own
+    return ThreadPoolExecutor(MOST_OPEN, "started", take_poise_name, ("started",))
 
 
 # a process that a component forks has none of these threads, and would wait for them
