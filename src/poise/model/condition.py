@@ -124,6 +124,8 @@ def sentence(text: str, values: Struct) -> str:
 
 
 def _shown(value: Value, kind: _Kind) -> str:
+    if value != value:  # noqa: PLR0124, it is not a number
+        return "unknown"
     (dimension,) = kind.dimensions or ("",)
     return _FORMATS[dimension](value) if dimension in _FORMATS else str(value)
 

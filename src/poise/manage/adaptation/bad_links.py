@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
+from math import nan
 
 from msgspec import Struct
 from msgspec.structs import replace
@@ -80,14 +81,16 @@ def link_values(situation: Situation) -> Iterator[LinkValues]:
         first, second = state.link.between
         status = situation.statuses.get(first)
         clock = status.clocks.get(second) if status else None
+        is_known = situation.lost.isdisjoint(state.link.between)
+        carried = traffic.get(frozenset(state.link.between), 0.0)
         yield LinkValues(
             name=str(state),
             bandwidth=state.link.bandwidth,
-            traffic=traffic.get(frozenset(state.link.between), 0.0),
-            trip=clock.trip if clock else 0.0,
+            traffic=carried if is_known else nan,
+            trip=clock.trip if clock and is_known else nan,
             latency=state.link.latency,
-            delay=state.delay,
-            loss=state.loss,
+            delay=state.delay if is_known else nan,
+            loss=state.loss if is_known else nan,
             cut=state.cut,
         )
 

@@ -1,9 +1,13 @@
-"""From what the loop knows to the values that policies ask of each subject. Pure."""
+"""From what the loop knows to the values that policies ask of each subject. Pure.
+
+What is not known now is no number: no comparison with it holds.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
+from math import nan
 
 from poise.manage.adaptation.bad_links import link_values
 from poise.manage.adaptation.decision import shortages_of
@@ -18,6 +22,7 @@ from poise.model.policy import (
     Subject,
     Values,
 )
+from poise.wire.records.status_records import AgentStatus
 
 
 def values_of(situation: Situation, subject: Subject) -> tuple[Values, ...]:
@@ -34,38 +39,44 @@ def _computers(situation: Situation) -> Iterator[Values]:
     late = Counter(timer.computer for timer in situation.misses if timer.late)
     by_name = {each.component: each for each in situation.demand_estimates}
     for computer in situation.robot.computers:
-        here = estimates.get(computer.name, ())
-        load = situation.loads.get(computer.name)
-        status = situation.statuses.get(computer.name)
+        is_known = computer.name not in situation.unreached
+        here = estimates.get(computer.name, ()) if is_known else ()
+        load = situation.loads.get(computer.name) if is_known else None
+        status = situation.statuses.get(computer.name) if is_known else None
         running = [by_name[n] for n in load.components if n in by_name] if load else ()
         yield ComputerValues(
             name=computer.name,
             lost=computer.name in situation.lost,
             capacity=computer.total("cpu"),
-            used=load.used if load else 0.0,
-            background=load.background if load else 0.0,
+            used=load.used if load else nan,
+            background=load.background if load else nan,
             full=load is not None and load.is_full,
-            starved=max([each.estimate.starved for each in here], default=0.0),
+            starved=max([each.estimate.starved for each in here], default=0.0)
+            if is_known
+            else nan,
             late=late[computer.name],
             drifted=sum([each.estimate.drift is not None for each in here]),
             short=shortages[computer.name],
             culprit=culprit_on(load, running)
-            or "nothing takes more than was expected there",
-            memory=status.memory if status else 0.0,
+            or "nothing takes more than was expected there"
+            if load
+            else "its use is not known",
+            memory=status.memory if status else nan,
             components=components[computer.name],
         )
 
 
 def _components(situation: Situation) -> Iterator[Values]:
+    statuses = _current(situation)
     states = {
         (computer, component.name): (component, container)
-        for computer, status in situation.statuses.items()
+        for computer, status in statuses.items()
         for container in status.containers
         for component in container.components
     }
     memory = {
         (computer, health.name): health.memory
-        for computer, status in situation.statuses.items()
+        for computer, status in statuses.items()
         for health in status.health
     }
     demands = {
@@ -76,6 +87,7 @@ def _components(situation: Situation) -> Iterator[Values]:
             if (computer := situation.placement.get(entry.name)) is None:
                 continue
             demand = demands.get(entry.name)
+            now = demand if computer not in situation.unreached else None
             component, container = states.get((computer, entry.name), (None, None))
             yield ComponentValues(
                 name=entry.name,
@@ -83,21 +95,21 @@ def _components(situation: Situation) -> Iterator[Values]:
                 architecture=architecture.name,
                 priority=architecture.priority,
                 state=component.state if component else "gone",
-                cpu=demand.mean if demand else 0.0,
+                cpu=demand.mean if demand else nan,
                 expected=entry.demand.get("cpu", 0.0),
-                starved=demand.starved if demand else 0.0,
-                hung=component.hung if component else 0.0,
-                long_job=demand.long_job if demand else 0.0,
+                starved=now.starved if now else nan,
+                hung=component.hung if component else nan,
+                long_job=now.long_job if now else nan,
                 errors=component.errors if component else 0,
-                memory=memory.get((computer, container.name), 0.0)
+                memory=memory.get((computer, container.name), nan)
                 if container
-                else 0.0,
+                else nan,
             )
 
 
 def _containers(situation: Situation) -> Iterator[Values]:
     demands = situation.robot.demands("memory")
-    for computer, status in situation.statuses.items():
+    for computer, status in _current(situation).items():
         inside = {
             container.name: container.components for container in status.containers
         }
@@ -140,13 +152,29 @@ def _chains(situation: Situation) -> Iterator[Values]:
 
 
 def _robots(situation: Situation) -> Iterator[Values]:
+    placement, gone = situation.placement, situation.unreached
+    sources = {
+        each.name: each.between[0].component
+        for each in situation.robot.all_connectors()
+    }
+    loads = [load.used for name, load in situation.loads.items() if name not in gone]
     yield RobotValues(
         name=situation.robot.name,
         lost=len(situation.lost),
         late=sum(timer.late for timer in situation.misses),
-        used=sum(load.used for load in situation.loads.values()),
-        calls=sum(traffic.rate for traffic in situation.traffic.values()),
+        used=sum(loads) if loads else nan,
+        calls=sum(
+            traffic.rate
+            for name, traffic in situation.traffic.items()
+            if placement.get(sources.get(name, "")) not in gone
+        ),
     )
+
+
+def _current(situation: Situation) -> Mapping[str, AgentStatus]:
+    """Return the statuses of computers that are reached."""
+    statuses, gone = situation.statuses, situation.unreached
+    return {name: status for name, status in statuses.items() if name not in gone}
 
 
 _READ: Mapping[Subject, Callable[[Situation], Iterator[Values]]] = {

@@ -87,6 +87,11 @@ class Situation(Struct, frozen=True, kw_only=True, dict=True):
         kept = tuple(each for each in known if each.component not in components)
         return replace(self, demand_estimates=kept)
 
+    @property
+    def unreached(self) -> frozenset[str]:
+        """The computers of which it is not known how they are now."""
+        return self.lost | self.away
+
     def within_reach(self) -> Situation:
         """Return the same without what is lost."""
         return self._without(self.lost) if self.lost else self
@@ -96,7 +101,7 @@ class Situation(Struct, frozen=True, kw_only=True, dict=True):
 
         Nothing moves from or to what is out of reach.
         """
-        gone = self.lost | self.away
+        gone = self.unreached
         if not gone:
             return self
         here = self._without(gone)
@@ -200,15 +205,16 @@ class SituationReader:
     def read(self, tasks: tuple[Task, ...]) -> Situation:
         """Return the situation now, while `tasks` run."""
         live, moment = self._live, time.monotonic()
-        statuses = live.current()
+        statuses, away = live.current(), live.agents.out_of_reach()
+        loads = self._estimates.loads.loads(without=away)
         held = live.desired.held
         placement = {n: at for n, at in live.placement().items() if n not in held}
         return Situation(
             robot=replace(live.robot, tasks=tasks),
             placement=placement,
             lost=self._lost.computers(),
-            away=frozenset(live.agents.out_of_reach()),
-            loads=self._estimates.loads.loads(),
+            away=frozenset(away),
+            loads=loads,
             misses=self._misses.measure(statuses, moment),
             chains=self._ages.measure(self._chains.reports(statuses), moment),
             demand_estimates=tuple(self._estimates.demand_estimates()),

@@ -232,7 +232,7 @@ def status_of(
         recent=live.journal.recent(),
         tasks=tuple(tasks),
         robot_tasks=tuple(task.name for task in live.robot.tasks),
-        loads=estimates.loads.loads(),
+        loads=estimates.loads.loads(without=out_of_reach),
         by_ros2=_by_ros2(live),
         traffic=estimates.traffic(),
         notice=_notice(live),

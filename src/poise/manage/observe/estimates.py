@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Container, Iterable, Mapping
 from math import inf
 
 from msgspec import Struct
@@ -92,10 +92,15 @@ class Loads:
             while len(totals) > 1 and totals[-1].at - totals[1].at >= OVER:
                 totals.popleft()
 
-    def loads(self) -> dict[str, Load]:
-        """Return computer -> load, where enough of it was seen."""
+    def loads(self, without: Container[str] = ()) -> dict[str, Load]:
+        """Return computer -> load, where enough of it was seen.
+
+        `without`: computers that tell nothing now; what they told last is no use.
+        """
         with self._lock:
-            windows = {c: (t[0], t[-1]) for c, t in self._totals.items()}
+            windows = {
+                c: (t[0], t[-1]) for c, t in self._totals.items() if c not in without
+            }
         return {
             name: self._load(name, before, after)
             for name, (before, after) in windows.items()

@@ -114,6 +114,59 @@ def test_a_lost_computer_is_named(situation: Make) -> None:
     assert seen(lost, "lost-computer") == ["computer 'right' is out of reach"]
 
 
+def test_nothing_is_said_of_how_a_lost_computer_was(situation: Make) -> None:
+    """Neither what it used, nor that it uses nothing now."""
+    before = situation({"a": "left", "b": "right"}, background={"right": 0.3})
+    estimates = tuple(
+        msgspec.structs.replace(
+            each, estimate=msgspec.structs.replace(each.estimate, starved=0.5)
+        )
+        for each in before.demand_estimates
+    )
+    health = ContainerHealth(name="all", state="running", since=0.0, cpu=0.2)
+    status = AgentStatus(
+        computer="right", generation=1, uptime=1.0, cpu=1.0, memory=9, health=(health,)
+    )
+    before = msgspec.structs.replace(
+        before, demand_estimates=estimates, statuses={"right": status}
+    )
+    asked: tuple[tuple[Subject, str, str], ...] = (
+        ("computer", "used >= 0.5 or used < 0.1", "{name} uses {used}"),
+        ("computer", "starved >= 50% or starved == 0", "{name}: {starved}"),
+        ("computer", "memory > 0 B", "{name} takes {memory}"),
+        ("component", "starved > 40%", "{name} on {computer}: {starved}"),
+        ("component", "state == 'gone'", "{name} is gone: {starved}"),
+        ("container", "cpu > 0.1", "{name} takes {cpu}"),
+        ("robot", "used > 0", "{name} uses {used}"),
+    )
+    policies = Policies(
+        Policy(name=f"p{n}", for_each=subject, when=when, do="notify", say=say)
+        for n, (subject, when, say) in enumerate(asked)
+    )
+    look(policies, before, 0.0)
+    assert [symptom.what for symptom in look(policies, before, 1.0)] == [
+        "right uses 0.5 cores",
+        "left: 50%",
+        "right: 50%",
+        "right takes 9 B",
+        "a on left: 50%",
+        "b on right: 50%",
+        "a is gone: 50%",
+        "b is gone: 50%",
+        "all takes 0.2 cores",
+        "two uses 0.7 cores",
+    ]
+    lost = msgspec.structs.replace(before, lost=frozenset({"right"}))
+    look(policies, lost, 2.0)
+    assert [symptom.what for symptom in look(policies, lost, 3.0)] == [
+        "left: 50%",
+        "a on left: 50%",
+        "a is gone: 50%",
+        "b is gone: unknown",
+        "two uses 0.2 cores",
+    ]
+
+
 LATE = Policy(name="p", for_each="timer", when="late", do="replan", say="{name}")
 
 
