@@ -21,6 +21,7 @@ from poise.session.render.status_tables import (
     computer_table,
     container_lines,
     container_table,
+    growing_containers,
     remarks,
     status_parts,
 )
@@ -141,6 +142,22 @@ def test_the_state_on_a_computer_that_is_out_of_reach_is_unknown() -> None:
     (row,) = lines(replace(answer, out_of_reach={"vision": 0.0}))
     assert "unknown" in row
     assert "active" not in row
+
+
+def test_what_was_wrong_on_a_computer_that_is_out_of_reach_is_not_said_of_now() -> None:
+    answer = status(Estimate(mean=0.1, p95=0.1, error=0.01, starved=0.4))
+    health = ContainerHealth(
+        name="one", state="running", since=9.0, growth=1 << 20, full_in=9.0
+    )
+    agent = replace(answer.computers["vision"], health=(health,))
+    answer = replace(answer, computers={"vision": agent})
+    assert list(remarks(answer)) == [f"{NAME}: 12 errors, starved 40%"]
+    assert list(growing_containers(answer))
+    assert container_table(answer).row_count
+    answer = replace(answer, out_of_reach={"vision": 0.0})
+    assert list(remarks(answer)) == [f"{NAME}: 12 errors"]
+    assert not list(growing_containers(answer))
+    assert not container_table(answer).row_count
 
 
 def test_says_what_was_raised_last_whatever_it_holds() -> None:

@@ -26,7 +26,11 @@ from poise.session.render.tables import (
     task_lines,
 )
 from poise.units import counted, format_bytes, format_seconds, shortened
-from poise.wire.records.status_records import ComponentStatus, ContainerHealth
+from poise.wire.records.status_records import (
+    AgentStatus,
+    ComponentStatus,
+    ContainerHealth,
+)
 
 
 class Status(Printable, RobotStatus, frozen=True, tag="RobotStatus", kw_only=True):
@@ -156,7 +160,7 @@ def container_table(answer: RobotStatus) -> Table:
     """Return the memory of containers, how fast it grows, and what was planned."""
     names = "container", "computer", "memory", "demand", "grows", "components"
     rows = table(*names, folds=len(names) - 1)
-    for name, computer in sorted(answer.computers.items()):
+    for name, computer in _known(answer):
         inside = {each.name: each.components for each in computer.containers}
         for health in computer.health:
             if health.name not in inside:
@@ -175,6 +179,12 @@ def container_table(answer: RobotStatus) -> Table:
     return rows
 
 
+def _known(answer: RobotStatus) -> list[tuple[str, AgentStatus]]:
+    """Return the computers of which it is known how they are now, by name."""
+    unknown = answer.not_known()
+    return [each for each in sorted(answer.computers.items()) if each[0] not in unknown]
+
+
 def _growth(health: ContainerHealth) -> str:
     if not health.growth:
         return ""
@@ -184,7 +194,7 @@ def _growth(health: ContainerHealth) -> str:
 
 def growing_containers(answer: RobotStatus) -> Iterator[str]:
     """Give the containers whose memory grows towards its limit."""
-    for computer, status in sorted(answer.computers.items()):
+    for computer, status in _known(answer):
         for health in status.health:
             if growth := _growth(health):
                 name = f"container '{health.name}' on '{computer}'"
@@ -223,10 +233,12 @@ def _notices(answer: RobotStatus) -> Iterator[str]:
 
 def remarks(answer: RobotStatus) -> Iterator[str]:
     """Give what is wrong with components, a line for each, by computer."""
+    unknown = answer.not_known()
     for computer, component, standing in _each(answer):
         load = answer.loads.get(computer)
         culprit = culprit_on(load, answer.demand_estimates, component.name)
-        if found := ", ".join(_remarks(component, standing, culprit)):
+        now = standing if computer not in unknown else None
+        if found := ", ".join(_remarks(component, now, culprit)):
             yield f"{component.name}: {found}"
 
 
