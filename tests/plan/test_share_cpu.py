@@ -7,8 +7,8 @@ from msgspec.structs import replace
 
 from poise import plan
 from poise.errors import RobotError, UsageError
-from poise.model.robot import Computer
-from poise.plan import Bundle, Item, Planner, Problem, SoftLimit
+from poise.model.robot import Computer, Objective
+from poise.plan import Bundle, Edge, Item, Planner, Problem, SoftLimit
 
 
 def problem_of(
@@ -40,6 +40,32 @@ def test_what_fits_is_placed_as_without_sharing() -> None:
     found = plan.solve(asked, overload="share")
     assert found.placement == plan.solve(asked).placement
     assert found.shortages == ()
+
+
+@pytest.mark.parametrize(
+    "objective",
+    [
+        Objective(communication=10_000.0),
+        Objective(scale="paper", weights={"memory": 1.0}),
+    ],
+)
+def test_what_fits_is_not_short_whatever_the_weights(objective: Objective) -> None:
+    """Sharing one computer costs 0.3 cores, and saves what F counts for much more."""
+    asked = Problem(
+        components=(
+            Item(name="a", demand={"cpu": 0.8, "memory": 1e9}),
+            Item(name="b", demand={"cpu": 0.5, "memory": 1e9}),
+        ),
+        computers=(
+            Computer(name="x", capacity={"cpu": 1.0, "memory": 3e9}),
+            Computer(name="y", capacity={"cpu": 0.6, "memory": 1e9}),
+        ),
+        connectors=(Edge(between=("a", "b")),),
+        objective=objective,
+    )
+    found = plan.solve(asked, overload="share")
+    assert found.shortages == ()
+    assert found.placement == plan.solve(asked).placement
 
 
 def test_a_higher_priority_is_short_last() -> None:

@@ -217,7 +217,9 @@ def _without(component: Item, names: Collection[str]) -> Item:
 
 PRICE = 1000.0
 """What F grows by for each core that is short, of the lowest priority: far more than
-all other terms come to."""
+all other terms come to with the weights that a robot has by default."""
+_LARGEST = 1e12
+"""What other terms are taken to come to at most."""
 _RESERVE = 0.01
 """What a core of the reserve costs that is used, as a share of one that is short."""
 
@@ -240,7 +242,7 @@ class Margin(NamedTuple):
 
 def share_cpu(
     problem: Problem,
-    price: float = PRICE,
+    price: float | None = None,
     limits: Mapping[str, float] | None = None,
     margins: Sequence[Margin] = (Margin({}, _RESERVE),),
 ) -> Problem:
@@ -249,12 +251,14 @@ def share_cpu(
     Parameters
     ----------
     price
-        What F grows by for each core that is short, of the lowest priority; > 0.
+        What F grows by for each core that is short, of the lowest priority; > 0. None:
+        `PRICE`, or more where the weights are such that other terms come to more.
     limits
         Computer -> what there is [cores]; all that it has, where not named.
     margins
         What is left free besides, where possible.
     """
+    price = PRICE * _others(problem) if price is None else price
     has = {h.name: h.total("cpu") for h in problem.computers} | {**(limits or {})}
     priority = dict.fromkeys((c.name for c in problem.components), _lowest(problem))
     for bundle in problem.architectures:
@@ -278,6 +282,18 @@ def share_cpu(
     ]
     others = [limit for limit in problem.soft_limits if limit.resource != "cpu"]
     return replace(problem, soft_limits=(*others, *work, *left))
+
+
+def _others(problem: Problem) -> float:
+    """Return about what a term of F comes to at most, beside CPU; at least 1."""
+    arrays = arrays_of(problem)
+    apart = sum(overhead for _, _, overhead, _ in arrays.connectors)
+    most = arrays.communication * apart * max(arrays.distance, default=1.0)
+    for k, weight in enumerate(arrays.spread):
+        has = max(arrays.capacity[k :: arrays.r], default=0.0)
+        spread = 1.0 if arrays.share else has
+        most += weight * (spread * spread if arrays.variance else spread)
+    return min(max(1.0, most, problem.objective.quality), _LARGEST)
 
 
 def _lowest(problem: Problem) -> int:
