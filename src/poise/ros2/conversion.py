@@ -18,6 +18,7 @@ import msgspec
 
 from poise.clock import ComponentClock, Stamp, wall_time
 from poise.errors import RobotError, did_you_mean, listed
+from poise.wire.codec import without_alias
 
 _CODES = {
     "float": "f",
@@ -102,6 +103,7 @@ class Conversions:
         return Conversion(to_ros, from_ros)
 
     def _value(self, hint: Any, kind: str, where: str) -> Conversion:  # noqa: ANN401, a type
+        hint = without_alias(hint)
         if hint is Stamp or kind == "builtin_interfaces/Time":
             return self._time(hint, kind, where)
         if kind == "builtin_interfaces/Duration":

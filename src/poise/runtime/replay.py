@@ -23,7 +23,7 @@ from poise.runtime.component.component import Component
 from poise.runtime.component.implementation import find_function, find_type
 from poise.runtime.component.ports import Published, Required, every
 from poise.runtime.connectors.interface import methods
-from poise.wire.codec import codec
+from poise.wire.codec import codec, without_alias
 from poise.wire.recording_file import Input, inputs_of
 
 Maker = Callable[[random.Random, float], Any]
@@ -70,6 +70,7 @@ class _Filling:
         self._room = room
 
     def value(self, hint: Any, where: str) -> Any:  # noqa: ANN401, PLR0911, any type
+        hint = without_alias(hint)
         origin, arguments = get_origin(hint), get_args(hint)
         if origin is Literal:
             return arguments[0]

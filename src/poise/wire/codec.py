@@ -15,7 +15,15 @@ from functools import cache, lru_cache
 from itertools import chain
 from math import prod
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar, get_args
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Generic,
+    NamedTuple,
+    TypeVar,
+    get_args,
+    get_origin,
+)
 
 import msgspec
 
@@ -301,6 +309,18 @@ def _check(type_: Any, value: Any) -> Any:  # noqa: ANN401, msgspec's hook
         if not issubclass(value.dtype.type, wanted):
             raise TypeError(f"array of {value.dtype}, not {wanted.__name__}")
     return value
+
+
+def without_alias(type_: Any) -> Any:  # noqa: ANN401, any type
+    """Return what a type alias stands for, such as `NDArray` since NumPy 2.5."""
+    alias = get_origin(type_) or type_
+    if type(alias).__name__ != "TypeAliasType":
+        return type_
+    value, given = alias.__value__, get_args(type_)
+    if given and (taken := getattr(value, "__parameters__", ())):
+        by_parameter = dict(zip(alias.__type_params__, given, strict=True))
+        value = value[tuple(by_parameter[each] for each in taken)]
+    return without_alias(value)
 
 
 @cache

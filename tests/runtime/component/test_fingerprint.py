@@ -2,11 +2,15 @@
 
 import sys
 from types import ModuleType
-from typing import Any
+from typing import Any, TypeVar
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
+from typing_extensions import TypeAliasType
 
 from poise.runtime.component.implementation import fingerprint
+from poise.runtime.migration.state_check import describe_type
 
 CODE = """
 from __future__ import annotations
@@ -82,6 +86,26 @@ def test_other_ways_to_write_a_type_and_limits_of_values_do_not_count(
     code = f"{CODE}\nfrom typing import Annotated, Optional\nfrom msgspec import Meta\n"
     one, other = install("one", code), install("other", code.replace(old, new))
     assert fingerprint(one.Node) == fingerprint(other.Node)
+
+
+_SCALAR = TypeVar("_SCALAR", bound=np.generic)
+_ALIAS = TypeAliasType(
+    "_ALIAS", np.ndarray[tuple[Any, ...], np.dtype[_SCALAR]], type_params=(_SCALAR,)
+)
+
+
+@pytest.mark.parametrize(
+    "written",
+    [
+        np.ndarray[Any, np.dtype[np.float32]],  # by NumPy 1
+        np.ndarray[tuple[Any, ...], np.dtype[np.float32]],
+        _ALIAS[np.float32],  # from NumPy 2.5 on
+    ],
+)
+def test_arrays_fit_however_a_version_of_numpy_writes_their_type(written: Any) -> None:
+    assert fingerprint(written) == fingerprint(NDArray[np.float32])
+    assert fingerprint(written) != fingerprint(NDArray[np.float64])
+    assert describe_type(written) == describe_type(NDArray[np.float32])
 
 
 def test_equal_types_of_other_names_do_not_fit(install: Any) -> None:

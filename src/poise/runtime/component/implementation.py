@@ -17,6 +17,7 @@ from poise.runtime.component import ports
 from poise.runtime.component.component import Component
 from poise.runtime.component.error_report import brief_traceback
 from poise.runtime.component.ports import is_oneway, methods_of
+from poise.wire.codec import without_alias
 
 
 def find(implementation: str, folder: str) -> type[Component]:
@@ -154,17 +155,21 @@ Seen = tuple[type, ...]
 def fingerprint(type_: Any) -> Hashable:  # noqa: ANN401, any type
     """Return what a type is made of; types with equal fingerprints fit each other.
 
-    Limits of values do not count: each end checks its own.
+    Limits of values do not count: each end checks its own. Nor does how a version of
+    Python or NumPy writes a type, for the ends may have other versions.
     """
     return _fingerprint(type_, ())
 
 
 def _fingerprint(type_: Any, seen: Seen) -> Hashable:  # noqa: ANN401, any type
-    origin = get_origin(type_)
+    type_ = without_alias(type_)
+    origin, arguments = get_origin(type_), get_args(type_)
     if origin is Annotated:
-        return _fingerprint(get_args(type_)[0], seen)
+        return _fingerprint(arguments[0], seen)
     if origin is not None:
-        inner = tuple(_fingerprint(arg, seen) for arg in get_args(type_))
+        if origin.__name__ == "ndarray":
+            arguments = arguments[1:]  # any shape, which NumPy writes in several ways
+        inner = tuple(_fingerprint(argument, seen) for argument in arguments)
         return (str(UnionType if origin is Union else origin), inner)
     if not isinstance(type_, type) or type_ in seen:
         return getattr(type_, "__qualname__", repr(type_))

@@ -14,7 +14,7 @@ from msgspec import Struct
 from poise.errors import UsageError
 from poise.runtime.component.component import Component
 from poise.runtime.component.implementation import fingerprint
-from poise.wire.codec import codec
+from poise.wire.codec import codec, without_alias
 
 _WAYS_OUT = "let `poise replace` map it with --adapt, or drop it with --fresh"
 
@@ -26,6 +26,7 @@ def describe_type(type_: Any) -> str:  # noqa: ANN401, any type
     Of `list[float]` only that it is a list: a state does not tell what it may hold,
     and what it does hold is checked when it is restored.
     """
+    type_ = without_alias(type_)
     type_ = get_origin(type_) or type_
     made_of = fingerprint(type_)
     if isinstance(type_, type) and issubclass(type_, Struct):
