@@ -9,6 +9,7 @@ import pytest
 from msgspec.structs import replace
 
 from poise.manage.observe.chains import ChainHop, ChainReport
+from poise.manage.observe.estimates import Load
 from poise.session.running_robots.running import Status
 from poise.view.robot_view import SPAN, ComponentRow, ConnectorRow, Reader, TimerRow
 from poise.wire.records.request_records import ManagerId
@@ -78,6 +79,14 @@ def seen(
         containers=(container,),
     )
     return shown({"left": agent})
+
+
+def test_other_programs_count_in_what_a_computer_uses() -> None:
+    """Here a core does half as much as the reference's."""
+    load = Load(capacity=1.0, used=0.6, background=0.35)
+    status = replace(seen(1.0, cpu=0.0, missed=0, sent=0), loads={"left": load})
+    left, _ = Reader().update(status, 1.0).computers
+    assert left.cpu == pytest.approx(0.5 + 0.7)
 
 
 def test_rates_are_differences_on_the_time_of_the_container() -> None:

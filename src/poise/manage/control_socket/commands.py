@@ -205,6 +205,14 @@ class RobotStatus(Struct, frozen=True, tag=True, kw_only=True):
         named = {*self.computers, *self.capacities, *self.placement.values()}
         return (named | self.out_of_reach.keys()) - known
 
+    def background(self, computer: str) -> float:
+        """Return what other programs use of a computer [its cores]; 0: not known."""
+        load = self.loads.get(computer)
+        if load is None or not load.capacity:
+            return 0.0
+        cores = self.capacities.get(computer, {}).get("cpu", 0.0)
+        return load.background / load.capacity * cores
+
 
 class StopReport(Struct, frozen=True, tag=True):
     """The robot has stopped; `remaining` says what still runs where, if anything."""

@@ -145,9 +145,11 @@ def computer_table(answer: RobotStatus) -> Table:
             rows.add_row(name, *["not known"] * 4, "never")
             continue
         running = [h for h in computer.health if h.state != "stopped"]
+        others = answer.background(name)
+        by_others = f", {others:.2f} by other programs" if others else ""
         rows.add_row(
             name,
-            f"{computer.load:.2f} cores",
+            f"{computer.load + others:.2f} cores{by_others}",
             format_bytes(computer.memory),
             str(len(running)),
             str(sum(health.restarts for health in computer.health)),
