@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from poise.manage.agent_connections.claims import Claims, gives_way_to
 from poise.wire.records.deployment_records import Deployment
-from poise.wire.records.request_records import Claimed, ManagerId
+from poise.wire.records.request_records import Claimed, Election, ManagerId
 from poise.wire.records.status_records import AgentStatus
 
 EARLIER = ManagerId(key="e", user="ann", host="desk", pid=7, since=9.0, term=1)
@@ -66,6 +67,75 @@ def test_one_that_was_replaced_before_it_told_anything_gives_way_too() -> None:
     assert claims.successor([agent("a", LATER, 3, unmanaged=5.0)]) == LATER
     claims.accept("a", Claimed(Deployment(generation=1, containers=())))
     assert claims.successor([agent("a", LATER, 3, unmanaged=5.0)]) is None
+
+
+def test_a_status_from_before_its_own_claim_makes_none_give_way() -> None:
+    assert gives_way_to(EARLIER, {"a": 3}, {}, [agent("a", LATER, 2)]) is None
+    assert gives_way_to(EARLIER, {"a": 3}, {}, [agent("a", LATER, 3)]) is None
+
+
+def test_none_gives_way_to_itself_where_an_answer_to_its_claim_was_lost() -> None:
+    statuses = [agent("a", LATER, 4)]
+    assert gives_way_to(LATER, {"a": 3}, {}, statuses) is None
+
+
+def test_gives_way_to_the_last_of_several() -> None:
+    third = replace(LATER, key="t", term=3)
+    statuses = [agent("a", LATER, 3), agent("b", third, 3)]
+    assert gives_way_to(EARLIER, {}, {}, statuses) == third
+    assert gives_way_to(EARLIER, {}, {}, statuses[::-1]) == third
+
+
+def test_one_that_has_claimed_nothing_does_not_give_way_to_an_earlier_one() -> None:
+    assert gives_way_to(LATER, {}, {}, [agent("a", EARLIER, 2)]) is None
+
+
+def test_an_agent_that_votes_refuses_all_earlier_terms_from_then_on() -> None:
+    """So one that leads gives way, though the agent's token is no new one."""
+    claims = Claims(EARLIER, {}, Election(votes={"a": 1, "b": 1}), is_leased=True)
+    statuses = [agent("a", LATER, 1), agent("b", replace(LATER, key="t", term=3), 1)]
+    claims.new("a", None)
+    claims.accept("a", None)
+    assert claims.successor([agent("a", EARLIER, 1)]) is None
+    assert claims.successor([agent("a", replace(LATER, term=0), 1)]) is None
+    assert claims.successor(statuses) == statuses[1].manager
+    same_term = replace(LATER, term=1)
+    assert claims.successor([agent("a", same_term, 1)]) == same_term
+
+
+def test_each_claim_has_a_token_that_its_agent_has_not_seen() -> None:
+    claims = Claims(LATER, {}, None, is_leased=True)
+    claims.new("a", agent("a", EARLIER, 7))
+    assert claims.tokens == {"a": 8}
+    claims.new("a", agent("a", EARLIER, 5))  # an old status
+    assert claims.tokens == {"a": 9}
+
+
+def test_an_agent_is_obeyed_no_more_once_its_token_is_revoked() -> None:
+    claims = Claims(LATER, {}, None, is_leased=True)
+    claims.new("a", None)
+    assert not claims.is_obeyed(agent("a", LATER, 1))  # it did not accept the claim
+    claims.accept("a", None)
+    assert claims.is_obeyed(agent("a", LATER, 1))
+    assert not claims.is_obeyed(agent("a", EARLIER, 0))
+    claims.revoke(["a"])
+    revoked = claims.tokens["a"]
+    for token in range(revoked + 1):
+        assert not claims.is_obeyed(agent("a", LATER, token))
+    claims.new("a", agent("a", LATER, 1))
+    assert claims.tokens["a"] > revoked
+
+
+def test_a_term_is_higher_than_all_that_agents_obeyed_and_stays() -> None:
+    claims = Claims(replace(EARLIER, term=0), {}, None, is_leased=True)
+    claims.begin_term([agent("a", None, 0)])
+    assert claims.manager.term == 1
+    claims.begin_term([agent("a", LATER, 1), agent("b", EARLIER, 1)])
+    assert claims.manager.term == 3
+    claims.new("a", None)
+    claims.accept("a", None)
+    claims.begin_term([agent("a", replace(LATER, term=7), 1)])
+    assert claims.manager.term == 3
 
 
 @given(st.tuples(*[st.booleans()] * 3), st.data())
