@@ -59,6 +59,22 @@ def test_a_connector_is_meant_by_its_name_or_an_end(asked: str, meant: str) -> N
     assert begin_of(STATUSES, asked) == (meant, "left", "senses")
 
 
+def test_of_several_connectors_of_a_port_always_the_same_is_looked_at() -> None:
+    """A container opens one again when its target moves; then it is the last."""
+    ends = [end(name, "source") for name in reversed(NAMES)]
+    moved = {"left": computer("left", "senses", *ends)}
+    assert begin_of(moved, "eye.image") == (NAMES[0], "left", "senses")
+
+
+def test_a_source_that_moves_is_looked_at_where_it_works() -> None:
+    target = computer("right", "senses", end(NAMES[0], "source"))
+    eye = ComponentStatus(name="eye", state="active")
+    at = STATUSES["left"]
+    senses = replace(at.containers[0], components=(eye,))
+    statuses = {"left": replace(at, containers=(senses,)), "right": target}
+    assert begin_of(statuses, "eye.image") == (NAMES[0], "left", "senses")
+
+
 def test_an_end_where_different_messages_come_is_ambiguous() -> None:
     both = {
         "left": computer("left", "c", end("a.x-m.in", "both"), end("b-m.in", "both"))

@@ -340,8 +340,9 @@ def begin_of(
     are those that begin in no container.
     """
     found = dict(_begins(statuses))
-    sources = [name for name in found if name.startswith(f"{asked}-")]
-    targets = [name for name in found if name.endswith(f"-{asked}")]
+    # of several, always the same: what others noted meanwhile would come too late
+    sources = sorted(name for name in found if name.startswith(f"{asked}-"))
+    targets = sorted(name for name in found if name.endswith(f"-{asked}"))
     names = [asked] if asked in found else sources or targets
     component = asked.rpartition(".")[0]
     if not names and (at := _container_of(statuses, component)):
@@ -350,9 +351,7 @@ def begin_of(
         listed = "; ".join(sorted({*found, *others})) or "none"
         raise UsageError(f"no connector '{asked}' (there are: {listed})")
     if names == targets and len(names) > 1:
-        raise UsageError(
-            f"several connectors end at '{asked}': {'; '.join(sorted(names))}"
-        )
+        raise UsageError(f"several connectors end at '{asked}': {'; '.join(names)}")
     return (names[0], *found[names[0]])
 
 
@@ -367,8 +366,16 @@ def _container_of(statuses: Statuses, component: str) -> tuple[str, str] | None:
 
 
 def _begins(statuses: Statuses) -> Iterator[tuple[str, tuple[str, str]]]:
-    for computer, status in sorted(statuses.items()):
+    """Yield connectors and where they begin; where their source is active, last."""
+    begins: list[tuple[bool, str, tuple[str, str]]] = []
+    for computer, status in statuses.items():
         for container in status.containers:
-            for end in container.connectors:
-                if end.end != "target":
-                    yield end.name, (computer, container.name)
+            at_work = [c.name for c in container.components if c.state == "active"]
+            sources = tuple(f"{name}{mark}" for name in at_work for mark in ".-")
+            begins += (
+                (end.name.startswith(sources), end.name, (computer, container.name))
+                for end in container.connectors
+                if end.end != "target"
+            )
+    for _, name, place in sorted(begins):
+        yield name, place
