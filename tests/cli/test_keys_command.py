@@ -37,7 +37,10 @@ def test_a_computer_has_a_name_that_a_robot_file_may_have(tmp_path: Path) -> Non
     assert "'arm.2' is not a computer's name: a letter of a-z" in done.stderr
     assert not (tmp_path / "out").exists()
     people = (*out, "--role", "viewer")
-    assert run_poise(*asked, "arm.2", *people).returncode == 0
+    done = run_poise(*asked, "arm.2", *people)
+    assert done.returncode == 0
+    assert "its person" in done.stdout
+    assert not {"agent", "--keys"} & {*done.stdout.replace("`", " ").split()}
     done = run_poise(*asked, "\udcff", *people)  # on the command line, no UTF-8
     assert done.returncode == 2
     assert "is no name" in done.stderr

@@ -107,10 +107,13 @@ def issue_command(
         typer.echo(
             f"the authority ends then, too: `poise keys rotate {robot}` makes another"
         )
-    place = folders(robot)[-1] if of_role == "agent" else folders(robot)[0]
+    person, computer = folders(robot)
     typer.echo(
-        f"next: copy each folder to its computer, as {place} or where `--keys` or "
-        "POISE_KEYS says, readable for its user alone, and start its agent again"
+        f"next: copy each folder to its computer, as {computer} or where `--keys` or "
+        "POISE_KEYS says, readable for its user alone, and start its agent (again)"
+        if of_role == "agent"
+        else f"next: give each folder to its person, as {person} or where POISE_KEYS "
+        "says, readable for that person alone"
     )
 
 
