@@ -99,6 +99,56 @@ def test_finds_more_jobs_within_three_seconds() -> None:
     assert drifts(running, load, 3)
 
 
+def test_finds_more_jobs_though_no_more_of_them_are_done() -> None:
+    """It uses 0.1 cores before and after, of 0.15 that it needs."""
+    running, load = RunningEstimate(), Load(20, 0.005)
+    assert drifts(running, load, 40) == []
+    load.asked = int(load.now * 30) - (int(load.now * 20) - load.asked)
+    before = load.asked - load.done
+    load.rate, load.served, load.done = 30, 2 / 3, load.asked - before
+    running.skip_to_next()
+    assert drifts(running, load, 3)
+
+
+def test_finds_dearer_jobs_though_it_uses_no_more_for_them() -> None:
+    """It does half of its jobs at twice the time: it needs 0.2 cores, and uses 0.1."""
+    running, load = RunningEstimate(), Load(20, 0.005)
+    assert drifts(running, load, 40) == []
+    load.cost, load.served = 0.01, 0.5
+    assert drifts(running, load, 3)
+
+
+def steps_of(running: RunningEstimate, loads: list[float]) -> list[Drift]:
+    """Return the drifts of one without jobs that uses these cores, each for a step."""
+    now, cpu, found = 0.0, 0.0, [running.update(Reading(0.0, 0.0))]
+    for load in loads:
+        now, cpu = now + STEP, cpu + load * STEP
+        found.append(running.update(Reading(now, cpu)))
+    return [drift for drift in found if drift]
+
+
+def test_finds_that_what_has_no_jobs_uses_more_within_three_seconds() -> None:
+    running = RunningEstimate()
+    (drift,) = steps_of(running, [0.1, 0.11] * 100 + [0.2, 0.21] * 8)
+    assert drift.before == pytest.approx(0.105)
+    assert drift.after == pytest.approx(0.205, rel=0.02)
+
+
+def test_what_works_all_the_time_without_jobs_is_known_ever_better() -> None:
+    running = RunningEstimate()
+    errors: list[float] = []
+    rng = random.Random(3)
+    for seconds in (5, 25):
+        running = RunningEstimate()
+        loads = [0.5 + rng.uniform(-0.1, 0.1) for _ in range(round(seconds / STEP))]
+        assert steps_of(running, loads) == []
+        estimate = running.estimate()
+        assert estimate is not None
+        assert estimate.error is not None
+        errors.append(estimate.error)
+    assert errors[1] < 0.7 * errors[0]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("expected", [None, 0.05])
 def test_finds_no_drift_in_ten_minutes(expected: float | None) -> None:
