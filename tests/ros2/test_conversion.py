@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import enum
 import importlib
 from collections.abc import Callable
 
@@ -46,6 +47,56 @@ def test_a_number_that_ros_would_cut_is_refused(number: int) -> None:
     text = f"Size.width is {number}, which does not fit into uint32"
     with pytest.raises(ValueError, match=text):
         to_ros(Size(height=0, width=number))
+
+
+class Mode(enum.IntEnum):
+    """A number that has names."""
+
+    ON = 7
+    WIDE = 300
+
+
+class Basic(Message):
+    """A byte, and a number that has names."""
+
+    byte_value: bytes = b"a"
+    uint8_value: Mode = Mode.ON
+
+
+class Texts(Message):
+    """A text."""
+
+    string_value: str
+
+
+class Times(Message):
+    """How long something takes [s]."""
+
+    duration_value: float
+
+
+@pytest.mark.parametrize(
+    ("kind", "fits", "cut", "why"),
+    [
+        (
+            "Strings",
+            Texts("\u20ac"),
+            Texts("a\0b"),
+            r"is .a\\x00b., which does",
+        ),
+        ("BasicTypes", Basic(b"a"), Basic(b"ab"), "byte_value is b'ab', which does"),
+        ("BasicTypes", Basic(), Basic(b"a", Mode.WIDE), "is 300, .* into uint8"),
+        ("Builtins", Times(1e9), Times(1e10), "is 10000000000, .* into int32"),
+    ],
+)
+def test_so_is_all_else_that_it_would_cut(
+    kind: str, fits: Message, cut: Message, why: str
+) -> None:
+    ros = getattr(importlib.import_module("test_msgs.msg"), kind)
+    to_ros = Conversions(SystemClock()).of(type(fits), ros).to_ros
+    to_ros(fits)
+    with pytest.raises(ValueError, match=why):
+        to_ros(cut)
 
 
 class Camera(Message):

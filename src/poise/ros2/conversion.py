@@ -120,12 +120,13 @@ class Conversions:
     def _single(self, hint: Any, kind: str, where: str) -> Conversion:  # noqa: ANN401, a type
         kind = kind.partition("<")[0]
         wanted = _PLAIN.get(kind) or (float if kind in {"float", "double"} else int)
+        uncut = _uncut(kind, where) if wanted in {int, str, bytes} else wanted
         if isinstance(hint, type) and issubclass(hint, enum.Enum):
-            return Conversion(lambda value: value.value, hint)
+            return Conversion(lambda value: uncut(value.value), hint)
         if get_origin(hint) is Literal and type(get_args(hint)[0]) is wanted:
             return _SAME
         if hint is wanted or (hint is float and wanted is int):
-            return Conversion(_whole(kind, where) if wanted is int else wanted, hint)
+            return Conversion(uncut, hint)
         return self._wrong(where, f"is {_shown(hint)}, but a {kind} in ROS 2")
 
     def _several(self, hint: Any, of: str, kind: str, where: str) -> Conversion:  # noqa: ANN401
@@ -196,10 +197,11 @@ class Conversions:
         if hint is not float:
             return self._wrong(where, f"is {_shown(hint)}, but a Duration: float [s]")
         duration_of = _class_of("builtin_interfaces/Duration")
+        uncut = _uncut("int32", where)
 
         def to_ros(seconds: float) -> Any:  # noqa: ANN401, a message
             sec, nanosec = divmod(round(seconds * _NANO), _NANO)
-            return duration_of(sec=sec, nanosec=nanosec)
+            return duration_of(sec=uncut(sec), nanosec=nanosec)
 
         return Conversion(to_ros, lambda value: value.sec + value.nanosec / _NANO)
 
@@ -208,18 +210,32 @@ _NO_STAMP = Stamp(0.0, "?")
 """Says that there is none: nobody knows that computer's clock."""
 
 
-def _whole(kind: str, where: str) -> Convert:
-    """Return what makes an integer, which ROS 2 would cut to its size unasked."""
-    code = _CODES[kind]
-    bits = 8 * struct.calcsize(f"={code}")
-    low, high = (-(1 << bits - 1), 1 << bits - 1) if code.islower() else (0, 1 << bits)
+def _uncut(kind: str, where: str) -> Convert:
+    """Return what makes a value, and refuses one that ROS 2 would cut unasked."""
+    of = _PLAIN.get(kind) or int
+    fits = _FITS.get(kind) or _range(kind)
 
-    def to_ros(value: Any) -> int:  # noqa: ANN401, a number
-        if not low <= (made := int(value)) < high:
-            raise ValueError(f"{where} is {made}, which does not fit into {kind}")
+    def to_ros(value: Any) -> Any:  # noqa: ANN401, a number, text or byte
+        if not fits(made := of(value)):
+            raise ValueError(f"{where} is {made!r}, which does not fit into {kind}")
         return made
 
     return to_ros
+
+
+_FITS: dict[str, Callable[[Any], bool]] = {
+    "string": lambda text: "\0" not in text,  # where it would end
+    "wstring": lambda _: True,
+    "octet": lambda byte: len(byte) == 1,
+}
+
+
+def _range(kind: str) -> Callable[[int], bool]:
+    """Return what says whether a number fits into a kind of ROS 2's."""
+    code = _CODES[kind]
+    bits = 8 * struct.calcsize(f"={code}")
+    low, high = (-(1 << bits - 1), 1 << bits - 1) if code.islower() else (0, 1 << bits)
+    return lambda number: low <= number < high
 
 
 def _sized(to_ros: Convert, kind: str, where: str) -> Convert:
