@@ -60,6 +60,20 @@ def test_people_see_the_placement(problem_file: Path) -> None:
     assert "0 is best" in text
 
 
+@pytest.mark.parametrize(
+    "options", [(), ("--compare", "greedy,auto"), ("--smallest",), ("--explain", "[/]")]
+)
+def test_names_with_brackets_are_shown_as_they_are(
+    tmp_path: Path, options: tuple[str, ...]
+) -> None:
+    """A plain problem may have any names; `[/]` is no end of a style."""
+    path = tmp_path / "problem.json"
+    path.write_text(PROBLEM.replace('"a"', '"[/]"').replace('"one"', '"pc[red]"'))
+    result = call(path, *options)
+    assert result.exit_code == 0, result.exception
+    assert "pc[red]" in result.stdout
+
+
 def test_people_see_some_of_very_many_names(tmp_path: Path) -> None:
     """Of 1,000 on one computer 25 are named; JSON has them all."""
     names = ", ".join(f'{{"name": "c{i}"}}' for i in range(1000))

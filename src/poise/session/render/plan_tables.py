@@ -111,21 +111,23 @@ def _phase(result: plan.Result) -> tuple[RenderableType, ...]:
         return (_line("no placement", result.reason),)
     problem = result.problem
     resources = problem.resources
-    rows = table("computer", "components", *resources, folds=1)
+    rows = table("computer", "components", *map(escape, resources), folds=1)
     held: dict[str, list[str]] = {computer.name: [] for computer in problem.computers}
     for component, there in result.placement.items():
         held[there].append(component)
     used = _used(problem, result)
     for computer in problem.computers:
         bars = [_bar(computer, r, used[computer.name, r]) for r in resources]
-        rows.add_row(computer.name, _some(held[computer.name]), *bars)
+        some = _some(held[computer.name])
+        rows.add_row(escape(computer.name), escape(some), *bars)
     parts: list[RenderableType] = [rows]
     if not result.feasible:
         parts.append(_line("not feasible", result.reason))
     if result.suspended:
         why = f" (not everything fits: {result.reason})" if result.feasible else ""
         parts.append(_line("suspended", f"{', '.join(result.suspended)}{why}"))
-    parts += [f"{what}: by {by}" for what, by in result.architectures.items()]
+    chosen = result.architectures.items()
+    parts += [escape(f"{what}: by {by}") for what, by in chosen]
     parts += _short(result)
     parts.append(_terms(result))
     if result.unknown:
@@ -155,7 +157,7 @@ def _short(result: plan.Result) -> list[str]:
 
 
 def _line(head: str, text: str) -> str:
-    return f"[bold red]{head}[/]: {escape(text)}"
+    return f"[bold red]{escape(head)}[/]: {escape(text)}"
 
 
 def show(
@@ -173,7 +175,7 @@ def show_smallest(few: plan.Smallest, price: float, console: Console) -> None:
     known = "no cheaper set will do" if few.proven else "a cheaper set may do"
     names = ", ".join(few.computers)
     console.print(
-        f"fits on {len(few.computers)}, price {price:g}: {names}; {known}",
+        f"fits on {len(few.computers)}, price {price:g}: {escape(names)}; {known}",
         highlight=False,
     )
 
@@ -286,7 +288,7 @@ def show_comparison(
 ) -> None:
     """Print results side by side: the terms of F, then load by computer."""
     names = list(results)
-    rows = table("", *names)
+    rows = table("", *map(escape, names))
     rows.add_row("total", *(_term(results[name], "total") for name in names))
     for label in TERMS:
         values = [_term(results[name], label) for name in names]
@@ -301,13 +303,13 @@ def show_comparison(
     for computer in problem.computers:
         for resource in problem.resources:
             rows.add_row(
-                f"{computer.name} {resource}",
+                escape(f"{computer.name} {resource}"),
                 *(load(computer, resource, u[computer.name, resource]) for u in used),
             )
     console.print(rows)
     for name, result in results.items():
         if result.reason:
-            console.print(f"{name}: {result.reason}", highlight=False)
+            console.print(escape(f"{name}: {result.reason}"), highlight=False)
 
 
 def show_explanation(
@@ -322,9 +324,9 @@ def show_explanation(
 
 
 def _show_options(explanation: plan.Explanation, console: Console) -> None:
-    console.print(str(explanation), highlight=False)
+    console.print(escape(str(explanation)), highlight=False)
     if explanation.together:
-        names = ", ".join(explanation.together)
+        names = escape(", ".join(explanation.together))
         console.print(f"It moves together with {names}.", highlight=False)
     options = explanation.options
     terms = [
@@ -336,19 +338,19 @@ def _show_options(explanation: plan.Explanation, console: Console) -> None:
     for option in options:
         here = option.computer == explanation.computer
         rows.add_row(
-            option.computer,
+            escape(option.computer),
             _cost(option.objective.total),
             *(
                 "" if here else f"{getattr(option.change, name):+.4g}"
                 for name in ("total", *terms)
             ),
-            option.obstacle or ("here" if here else ""),
+            escape(option.obstacle) or ("here" if here else ""),
         )
     console.print(rows)
 
 
 def _show_rejection(rejection: plan.Rejection, console: Console) -> None:
-    console.print(str(rejection), highlight=False)
+    console.print(escape(str(rejection)), highlight=False)
     if rejection.objective is None or rejection.change is None:
         return
     names = ("total", *TERMS)
