@@ -257,6 +257,16 @@ def test_a_phase_says_what_is_suspended_in_it(phases_file: Path) -> None:
     assert "not everything fits: phase 'go'" in said
 
 
+def test_a_phase_says_where_cpu_is_short_in_it(phases_file: Path) -> None:
+    said = call(phases_file, "--task", "serve", "--without", "right", "--share")
+    assert said.exit_code == 0, said.output
+    rows = [line.split() for line in said.stdout.splitlines()]
+    assert [row[0] for row in rows if row[-1:] == ["fits"]] == ["look"]
+    assert [row[0] for row in rows if row[-2:] == ["is", "short"]] == ["go"]
+    assert "short on left in go: 0.1 cores of cpu" in said.stdout
+    assert "in look" not in said.stdout
+
+
 def test_explains_a_component_in_a_phase(phases_file: Path) -> None:
     asked = (phases_file, "--task", "serve", "--explain", "eyes", "--phase", "go")
     answer = json.loads(call(*asked, "--json").stdout)

@@ -145,11 +145,11 @@ def _missing(result: plan.Result) -> str:
     )
 
 
-def _short(result: plan.Result) -> list[str]:
+def _short(result: plan.Result, where: str = "") -> list[str]:
     """Return what computers are short of, where that is shared."""
     return [
         _line(
-            f"short on {lack.computer}",
+            f"short on {lack.computer}{where}",
             f"{units.format_amount(lack.resource, lack.amount)} of {lack.resource}",
         )
         for lack in result.shortages
@@ -231,7 +231,7 @@ def _phases(task_result: plan.TaskResult) -> tuple[RenderableType, ...]:
             f"{100 * weights[name]:.3g}%",
             *cells,
             _term(result, "total"),
-            "fits" if result.feasible else "[bold red]does not fit[/]",
+            _verdict(result),
         )
     parts: list[RenderableType] = [rows]
     parts += [
@@ -239,6 +239,8 @@ def _phases(task_result: plan.TaskResult) -> tuple[RenderableType, ...]:
         for name, result in task_result.results.items()
         if result.suspended
     ]
+    for name, result in task_result.results.items():
+        parts += _short(result, f" in {name}")
     if task_result.reason:
         head = "not everything fits" if task_result.feasible else "not feasible"
         parts.append(_line(head, task_result.reason))
@@ -252,6 +254,13 @@ def _phases(task_result: plan.TaskResult) -> tuple[RenderableType, ...]:
     parts += [f"assumed: {escape(each)}" for each in task_result.problem.assumed]
     parts.append(_sum(task_result))
     return tuple(parts)
+
+
+def _verdict(result: plan.Result) -> str:
+    """Return whether a phase fits."""
+    if result.feasible and not result.shortages:
+        return "fits"
+    return f"[bold red]{'is short' if result.feasible else 'does not fit'}[/]"
 
 
 def _on(computer: Computer, result: plan.Result) -> str:
