@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 
+from msgspec import structs
+
 from poise.manage.deploy.deployment_layout import DeploymentLayout
 from poise.manage.deploy.desired import Incarnation
-from poise.manage.migration.migration_rounds import MigrationRounds
+from poise.manage.migration.migration_rounds import IDLE_LIMIT, MigrationRounds
 from poise.model.robot import (
     Architecture,
     ComponentEntry,
@@ -72,6 +74,17 @@ def test_a_move_takes_one_round_in_stages(robot: Robot) -> None:
         ("filter", Step("send state", "filter", 0)),
         ("filter", Step("restore state", "filter", 1)),
         ("filter", Step("activate", "filter", 1)),
+    ]
+
+
+def test_a_target_asks_for_the_state_while_its_source_works(robot: Robot) -> None:
+    rounds = rounds_of(robot, {"filter": "left"}, {"filter": "right"}, grabber="left")
+    sources = {"filter": (0, f"{GATEWAYS['left']}/eye")}
+    assert steps(rounds.prepare()) == [
+        ("filter", Step("offer state", "filter", 0)),
+        ("filter", Step("pre-copy", "filter", 1, sources=sources)),
+        ("filter", Step("request state", "filter", 1)),
+        ("filter", Step("await idle", "filter", 0, limit=IDLE_LIMIT)),
     ]
 
 
@@ -218,3 +231,20 @@ def test_what_was_buffered_for_one_goes_to_the_alternative() -> None:
     joins = [step for _, step in rounds.prepare() if step.name == "pre-copy"]
     sources = {"a": (0, "two"), "b": (0, "two")}
     assert joins == [Step("pre-copy", "c", 1, sources=sources)]
+    # who is replaced is drained, and not waited for until it happens to be idle
+    assert "await idle" not in {step.name for _, step in rounds.prepare()}
+
+
+def test_what_goes_to_one_only_is_not_buffered_for_the_alternative() -> None:
+    """No way leads to the alternative, so it would never go out."""
+    robot = _alternatives()
+    ends = ConnectorEnd("sink", "calls"), ConnectorEnd("a", "more")
+    robot = structs.replace(
+        robot, connectors=(*robot.connectors, Connector(between=ends))
+    )
+    where = {"source": "left", "sink": "left"}
+    rounds = rounds_of(robot, {"a": "left", "b": "left"}, {"c": "left"}, **where)
+    first, *_ = rounds.pause_and_transfer()
+    buffers = [each for each in steps(first) if each[1].name == "buffer"]
+    assert buffers == [("source", Step("buffer", connectors=("source.calls-a.port",)))]
+    assert "sink" not in {name for name, _ in steps(rounds.roll_back())}
