@@ -110,6 +110,14 @@ def test_compares_methods_side_by_side() -> None:
     assert "█" in text
 
 
+def test_a_comparison_shows_no_load_where_there_is_no_placement() -> None:
+    said = call(ROBOT, "--compare", "static,auto", "--scale", "cpu=0.2").stdout
+    rows = [line.split() for line in said.splitlines()]
+    (cpu,) = (row for row in rows if row[:2] == ["SBC1", "cpu"])
+    assert "%" in cpu[-2]
+    assert cpu[-1] == "-"
+
+
 def test_five_methods_fit_side_by_side(monkeypatch: pytest.MonkeyPatch) -> None:
     """In 80 columns, each row on one line: without bars."""
     monkeypatch.setenv("COLUMNS", "80")

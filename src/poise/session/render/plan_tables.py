@@ -308,12 +308,17 @@ def show_comparison(
     rows.add_row("feasible", *("yes" if results[n].feasible else "NO" for n in names))
     rows.add_row("decided in", *(_seconds(results[n]) for n in names))
     load = _bar if len(names) <= _MOST_BARS else _share
+    placed = [r.objective is not None for r in results.values()]
     used = [_used(problem, result) for result in results.values()]
     for computer in problem.computers:
         for resource in problem.resources:
+            loads = (load(computer, resource, u[computer.name, resource]) for u in used)
             rows.add_row(
                 escape(f"{computer.name} {resource}"),
-                *(load(computer, resource, u[computer.name, resource]) for u in used),
+                *(
+                    x if is_placed else "-"
+                    for x, is_placed in zip(loads, placed, strict=True)
+                ),
             )
     console.print(rows)
     for name, result in results.items():
