@@ -80,6 +80,18 @@ def agent(computer: str, robot: str, port: int, *options: str) -> Iterator[IO[st
 
 
 @pytest.mark.slow
+def test_a_witness_without_keys_says_what_others_can_do() -> None:
+    argv = [*POISE, "witness", "third", "--robot", "hello", "--address", "127.0.0.1"]
+    with subprocess.Popen(
+        [*argv, f"--port={free_port()}"], stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        said = process.stdout.readline() + process.stdout.readline()
+        process.terminate()
+    assert "can have its vote" in said
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 def test_an_agent_that_is_told_to_end_exits_with_0(number: signal.Signals) -> None:
     argv = [*POISE, "agent", "left", "--robot", "ended", "--address", "127.0.0.1"]

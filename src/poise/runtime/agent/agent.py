@@ -244,7 +244,8 @@ class Agent:
     def _notice(self) -> str:
         if self._keys is not None:
             return self._keys.warning() or self._standby.notice()
-        return f"without keys: whoever reaches {self._endpoint} can run code here"
+        may = "have its vote" if self._setup.is_witness else "run code here"
+        return f"without keys: whoever reaches {self._endpoint} can {may}"
 
     def _zygote_trouble(self) -> str:
         pid = self._zygote_pid
