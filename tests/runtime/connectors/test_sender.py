@@ -194,6 +194,19 @@ def test_what_is_kept_back_also_waits_for_a_target_that_moves(
     assert (old.went, new.went) == ([], [1])
 
 
+def test_what_is_kept_back_waits_for_its_source_when_the_target_has_moved(
+    sender: Sender, old: FakeRoute, new: FakeRoute
+) -> None:
+    sender.buffer_until_active()
+    sender.buffer_for_move()
+    sender.send(1)
+    sender.switch("new")
+    assert not sender._is_draining
+    sender.send_buffered()
+    drain(sender)
+    assert (old.went, new.went) == ([], [1])
+
+
 @pytest.mark.parametrize("towards", ["old", "new"])
 def test_what_was_held_goes_one_way_in_order(
     sender: Sender, old: FakeRoute, new: FakeRoute, towards: str
@@ -328,6 +341,21 @@ def test_a_reentrant_publisher_lets_others_in_while_it_waits(old: FakeRoute) -> 
     assert old.went == [1]
 
 
+def test_no_other_message_goes_out_while_one_asks_for_room(sender: Sender) -> None:
+    class Asked(FakeRoute):
+        def ask(self) -> None:
+            self.room = 1
+            self.others_can = sender._can_take()
+
+    route = Asked()
+    route.room = 0
+    sender.add("old", route)
+    sender._limit = LONG
+    sender.send(1)
+    assert route.went == [1]
+    assert not route.others_can
+
+
 def test_without_room_a_message_is_dropped_after_the_limit_and_counted(
     sender: Sender, old: FakeRoute
 ) -> None:
@@ -407,6 +435,8 @@ def test_a_call_does_not_wait_for_ever_for_its_target(
 
 def test_without_a_path_calls_are_unavailable(calling: tuple[Sender, Any]) -> None:
     sender, proxy = calling
+    with pytest.raises(Unavailable, match=r"'a.sums-b.sums' is not connected"):
+        proxy.add(1)
     sender.add("old", FakeRoute())
     sender.remove("old")
     with pytest.raises(Unavailable, match=r"'a.sums-b.sums' is not connected"):
@@ -449,6 +479,19 @@ def test_only_the_publisher_waits_for_a_receiver_that_takes_nothing(
     drain(sender)
     assert sorted(map(str, [*slow.went, *old.went])) == ["1", "2", "marker 7"]
     assert old.went[0] == 2
+
+
+def test_one_message_goes_out_at_a_time() -> None:
+    sender = Sender("a.notes-b.notes", Port("notes", "publishes", Note), None, LONG)
+    slow = SlowRoute()
+    sender.add("slow", slow)
+    with ThreadPoolExecutor() as pool:
+        sent = pool.submit(sender.send, 1)
+        assert slow.begun.wait(LONG)
+        assert not sender._can_take()
+        slow.go_on.set()
+        sent.result(LONG)
+    assert sender._can_take()
 
 
 def test_nobody_waits_while_what_was_buffered_goes_out(old: FakeRoute) -> None:
