@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Collection, Container, Iterable, Mapping
+from collections.abc import Collection, Container, Iterable, Mapping, Sequence
+from itertools import pairwise
 from math import inf
 
 from msgspec import Struct
@@ -59,6 +60,11 @@ class _Total(Struct, frozen=True):
     containers: Mapping[int, float]
     components: Mapping[str, float]
 
+    def is_before(self, later: _Total) -> bool:
+        """Return whether a total counts on from this one."""
+        counts_on = self.all <= later.all and self.agent <= later.agent
+        return self.at < later.at and counts_on
+
 
 class Loads:
     """Takes samples, on any one thread at a time."""
@@ -86,7 +92,7 @@ class Loads:
         )
         with self._lock:
             totals = self._totals.setdefault(sample.computer, deque())
-            if totals and (total.at <= totals[-1].at or total.all < totals[-1].all):
+            if totals and not totals[-1].is_before(total):
                 totals.clear()  # its agent was restarted
             totals.append(total)
             while len(totals) > 1 and totals[-1].at - totals[1].at >= OVER:
@@ -98,25 +104,17 @@ class Loads:
         `without`: computers that tell nothing now; what they told last is no use.
         """
         with self._lock:
-            windows = {
-                c: (t[0], t[-1]) for c, t in self._totals.items() if c not in without
-            }
+            windows = {c: (*t,) for c, t in self._totals.items() if c not in without}
         return {
-            name: self._load(name, before, after)
-            for name, (before, after) in windows.items()
-            if after.at - before.at >= OVER
+            name: self._load(name, totals)
+            for name, totals in windows.items()
+            if totals[-1].at - totals[0].at >= OVER
         }
 
-    def _load(self, name: str, before: _Total, after: _Total) -> Load:
-        seconds, speed = after.at - before.at, self._speeds[name]
-        used = after.all - before.all
-        own = after.agent - before.agent
-        # what a container used that began or ended meanwhile is not known in full
-        own += sum(
-            cpu - before.containers.get(pid, 0.0)
-            for pid, cpu in after.containers.items()
-        )
-        background = (used - own) / seconds * speed
+    def _load(self, name: str, totals: Sequence[_Total]) -> Load:
+        before, after, speed = totals[0], totals[-1], self._speeds[name]
+        seconds, used = after.at - before.at, after.all - before.all
+        background = _by_others(totals) * speed
         return Load(
             capacity=self._capacities[name],
             used=used / seconds * speed,
@@ -127,6 +125,27 @@ class Loads:
                 if before.components.get(component, cpu) < cpu
             },
         )
+
+
+def _by_others(totals: Sequence[_Total]) -> float:
+    """Return what other programs use [cores].
+
+    While a container ended, that is not known: nor is what it used last.
+    """
+    seconds = others = 0.0
+    for before, after in pairwise(totals):
+        if before.containers.keys() <= after.containers.keys():
+            own = (
+                after.agent
+                - before.agent
+                + sum(
+                    cpu - before.containers.get(pid, 0.0)
+                    for pid, cpu in after.containers.items()
+                )
+            )
+            seconds += after.at - before.at
+            others += after.all - before.all - own
+    return others / seconds if seconds else 0.0
 
 
 def _used(container: ContainerSample) -> float:
