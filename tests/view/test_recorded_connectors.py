@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 import poise.view.robot_recording as module
+from poise.clock import steady_wall_time, wall_time
 from poise.session.running_robots.running import Status
 from poise.view.robot_recording import Recorder
 from poise.view.robot_view import LiveReading
@@ -20,8 +21,9 @@ from poise.wire.records.status_records import (
     ConnectorStatus,
     ContainerStatus,
 )
+from tests.waiting import LONG
 
-pytest.importorskip("mcap", reason="mcap is not installed")
+reader = pytest.importorskip("mcap.reader", reason="mcap is not installed")
 
 
 class Live:
@@ -54,10 +56,20 @@ class Live:
         return LiveReading(status=status)
 
     def look_at(self, connector: str, *_: Any, **__: Any) -> TapReading:
-        passed = Passed(at=1.0, value=pack(7), is_whole=True)
+        at = steady_wall_time()() + AHEAD.get(connector, 0.0)
+        passed = Passed(at=at, value=pack(7), is_whole=True)
         return TapReading(
-            number=1, connector=connector, carries="int", times=(1.0,), passed=(passed,)
+            number=1,
+            connector=connector,
+            carries="int",
+            times=(at,),
+            passed=(passed,),
+            at=at,
         )
+
+
+AHEAD = {"eye.seen-mind.seen": 3e7, "mind.goal-leg.goal": -3e7}
+"""Connector -> how far the clock where it begins is ahead [s]."""
 
 
 def test_all_are_recorded_also_those_that_begin_later_but_for_those_of_ros2(
@@ -72,5 +84,10 @@ def test_all_are_recorded_also_those_that_begin_later_but_for_those_of_ros2(
         recorder.record(file, 6.0, lambda: None, said.append, lambda _: None)
     assert file.counts["/messages/eye/seen-mind/seen"] == 3
     assert file.counts["/messages/mind/goal-leg/goal"] == 2
+    with (tmp_path / "a.mcap").open("rb") as written:
+        moments = [
+            m.log_time / 1e9 for *_, m in reader.make_reader(written).iter_messages()
+        ]
+    assert max(abs(moment - wall_time()) for moment in moments) < LONG  # by one clock
     (sentence,) = said
     assert "'talker-listener /count' is not recorded: it is made by ROS 2" in sentence

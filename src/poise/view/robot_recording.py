@@ -265,6 +265,8 @@ class Recorder:
         self._time = steady_wall_time()
         self._viewer = secrets.token_hex(8)
         self._latest: dict[str, tuple[int, int]] = {}
+        self._behind: dict[str, float] = {}
+        """Connector -> how far the clock where it begins is behind the one here [s]."""
         self._manager = ""
         self._last_entry = 0
         self._silent_since: float | None = None
@@ -391,6 +393,7 @@ class Recorder:
             say(why or f"connector '{connector}' is recorded again")
 
     def _read_messages(self, connector: str) -> TapReading:
+        asked = self._time()
         reading = self._live.running.look_at(
             connector,
             self._viewer,
@@ -399,13 +402,18 @@ class Recorder:
             latest=self._latest.get(connector, (0, 0)),
         )
         self._latest[reading.connector] = reading.latest
+        if reading.at:  # between question and answer: as before, if that can be
+            behind = self._behind.get(reading.connector, 0.0)
+            least, most = asked - reading.at, self._time() - reading.at
+            self._behind[reading.connector] = min(max(behind, least), most)
         return reading
 
     def _write_messages(self, file: McapFile, reading: TapReading) -> None:
         whole = [passed for passed in reading.passed if passed.is_whole]
+        behind = self._behind.get(reading.connector, 0.0)
         for passed in whole:
             value = unpack(convert(passed.value, Packed))
-            self._write_message(file, reading, passed.at, value)
+            self._write_message(file, reading, passed.at + behind, value)
         more = len(reading.times) + reading.missing - len(whole)
         if more:
             self.missing[reading.connector] += more

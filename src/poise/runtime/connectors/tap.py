@@ -144,7 +144,7 @@ class Observer:
             times, self._times = self._times, []
             passed, self._passed, self._size = self._passed, [], 0
             missing, self._missing = self._missing, 0
-            latest = self._latest
+            latest, at = self._latest, self._time()
         return TapReading(
             number=number,
             connector=self.connector,
@@ -153,6 +153,7 @@ class Observer:
             passed=tuple(passed),
             missing=missing,
             latest=latest,
+            at=at,
         )
 
 

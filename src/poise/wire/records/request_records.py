@@ -185,6 +185,7 @@ class TapReading(Struct, frozen=True, tag=True, kw_only=True):
     missing: int = 0  # How many are not among the times: there was no room for them
     # The number of the last message, where a port is ``published(latest=True)``
     latest: tuple[int, int] = (0, 0)
+    at: float = 0.0  # When it was read, by the clock of the times; 0: not known
 
 
 MOST_PACKED = 16 << 20
