@@ -113,7 +113,7 @@ def test_compares_methods_side_by_side() -> None:
 def test_a_comparison_shows_no_load_where_there_is_no_placement() -> None:
     said = call(ROBOT, "--compare", "static,auto", "--scale", "cpu=0.2").stdout
     rows = [line.split() for line in said.splitlines()]
-    (cpu,) = (row for row in rows if row[:2] == ["SBC1", "cpu"])
+    (cpu,) = (row for row in rows if row[:2] == ["sbc1", "cpu"])
     assert "%" in cpu[-2]
     assert cpu[-1] == "-"
 
