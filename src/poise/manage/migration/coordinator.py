@@ -193,6 +193,9 @@ class Migration:
             return self._raise_on_failed()
 
         self._live.wait(self._targets, PREPARE_LIMIT, trouble)
+        # what an action ended may be at work yet, where it is out of reach
+        begun = [t for t in self._targets if t.component not in self._live.placed]
+        self._live.end_left_behind(begun)
         limit = PREPARE_LIMIT if self._copies_ahead() else STALL_LIMIT
         self._send_round(rounds.prepare(), limit, self._raise_on_failed)
 
