@@ -281,6 +281,27 @@ def test_the_cheapest_computers_for_tasks_one_at_a_time() -> None:
     assert [r.feasible for r in none.results] == [True, False]
 
 
+def test_what_is_interrupted_has_not_looked_at_each_set_of_computers() -> None:
+    """Of four components one fits on each of the cheap ones, two on the dear one."""
+    computers = tuple(
+        Computer(name=f"h{i}", capacity={"cpu": cpu}, price=price)
+        for i, (cpu, price) in enumerate([(1.0, 1), (1.0, 1), (1.0, 1), (1.2, 2.5)])
+    )
+    components = tuple(item(f"c{i}", 0.6) for i in range(4))
+    task = in_turn(Problem(components=components, computers=computers))
+
+    def interrupted(problem: plan.TaskProblem) -> plan.TaskResult:
+        result = plan.solve_phases(problem, why=False)
+        if result.proven and not result.feasible:
+            result.stopped_by = "interrupted"
+        return result
+
+    assert plan.smallest([task], plan.solve_phases).computers == ("h0", "h1", "h3")
+    few = plan.smallest([task], interrupted)
+    assert few.computers == ("h0", "h1", "h2", "h3")
+    assert not few.proven
+
+
 def test_phases_with_other_priorities_share_cpu_as_one_problem() -> None:
     """Each priority has a soft limit of its own; F of both adds up."""
     one, two, three = item("a", 0.4), item("b", 0.4), item("c", 0.4)

@@ -95,9 +95,10 @@ def _cheapest_first(computers: tuple[Computer, ...], attempt: Try) -> Smallest:
             continue
         if result.feasible or kept == every:
             return result._replace(proven=proven)
-        proven = proven and result.proven
         if result.stopped_by == "interrupted":
+            proven = False  # the sets that follow were not looked at
             break
+        proven = proven and result.proven
     whole = attempt(every)
     assert whole is not None  # noqa: S101 - of all computers none was dropped
     return whole._replace(proven=proven)
