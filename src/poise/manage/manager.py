@@ -243,7 +243,8 @@ class Manager:
             if not self._parts.run(
                 "watch new code", self._canaries.check, changes=True
             ):
-                self._parts.run("adapt the placement", self._adaptation.adapt)
+                adapt = partial(self._adaptation.adapt, is_well=not self._deviations())
+                self._parts.run("adapt the placement", adapt)
 
     def stop(self) -> None:
         """Stop the robot, and answer the clients that still wait."""

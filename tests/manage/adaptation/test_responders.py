@@ -94,6 +94,31 @@ def test_the_first_that_wants_a_change_is_the_last_that_is_asked() -> None:
     assert rig.robbed.journal.entries()[-1].what == "so"
 
 
+def test_while_all_is_well_it_looks_less_often() -> None:
+    rig = Rig()
+    asked = rig.asked[0]
+    for is_well, times in (True, 4), (False, 10):
+        asked.times = 0
+        for _ in range(10):
+            rig.loop.adapt(is_well=is_well)
+            rig.clock.sleep(0.2)
+        assert asked.times == times
+
+
+def test_what_begins_or_is_changed_is_looked_at_again_at_once() -> None:
+    rig = Rig()
+    asked = rig.asked[0]
+    asked.change = Change(carry_out=lambda: None)
+    rig.loop.adapt(is_well=True)
+    rig.loop.adapt(is_well=True)
+    assert asked.times == 2
+    asked.change = None
+    rig.loop._read = lambda: rig.robbed.situation(0.0, "a")
+    for _ in range(3):
+        rig.loop.adapt(is_well=True)
+    assert asked.times == 5
+
+
 def test_what_comes_and_goes_is_said_once() -> None:
     """At its limit, "overloaded" and "no more" took turns every second."""
     rig = Rig()

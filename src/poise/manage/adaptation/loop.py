@@ -8,6 +8,7 @@ commands. Everything it sees, decides and does is in the journal.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping
 from functools import cache, partial
@@ -43,6 +44,8 @@ from poise.model.policy import Seen, policies_of
 from poise.units import counted
 
 _TRACEBACK = "Traceback (most recent call last):"
+_WELL_EVERY = 0.5
+"""While nothing is wrong the robot is looked at this often [s]."""
 
 
 class Adaptation:
@@ -88,13 +91,21 @@ class Adaptation:
         self._reported: dict[Key, Deviation] = {}
         self._held_at: dict[Key, float] = {}
         """What was reported -> when its condition held last."""
+        self._looked_at = -math.inf
         self.deviations: tuple[Deviation, ...] = ()
         self.hanging: tuple[str, ...] = ()
         """The components that policy `hang` is about now."""
 
-    def adapt(self) -> None:
-        """Look at the robot once, and let the first responder act that wants to."""
+    def adapt(self, *, is_well: bool = False) -> None:
+        """Look at the robot once, and let the first responder act that wants to.
+
+        While all `is_well`, and after a look that changed nothing, it looks less often.
+        """
+        is_calm = is_well and not self._policies.since
+        if is_calm and self._clock() < self._looked_at + _WELL_EVERY:
+            return
         situation = self._analysed(self._situation())
+        self._looked_at = situation.now
         parts = self._live.parts
         parts.run("report symptoms", partial(self._report, situation))
         parts.run("see which architectures are suspended", self._suspensions.record)
@@ -102,6 +113,7 @@ class Adaptation:
             for responder in self.responders:
                 respond = partial(self._respond, responder, situation)
                 if parts.run(responder.purpose, respond, changes=True):
+                    self._looked_at = -math.inf
                     return
 
     def _situation(self) -> Situation:
