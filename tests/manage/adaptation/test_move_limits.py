@@ -7,7 +7,15 @@ import random
 import pytest
 
 from poise.manage.adaptation.decision import decide
-from poise.manage.adaptation.when_to_act import BUDGET, SETTLE, LossSuffered, MoveLimits
+from poise.manage.adaptation.when_to_act import (
+    BUDGET,
+    FIRST_BACKOFF,
+    LONGEST_BACKOFF,
+    SETTLE,
+    LossSuffered,
+    MoveLimits,
+    has_changed,
+)
 from poise.manage.migration.migration_report import TransitionStep
 from tests.manage.adaptation.conftest import Make
 
@@ -93,6 +101,57 @@ def test_what_goes_wrong_next_waits_for_nothing_that_is_over() -> None:
         limits.start_backoff(now, {"left": 1.0})
     limits.reset_backoff()
     assert not limits.is_backing_off(20.0, {"left": 1.0})
+
+
+def waits(limits: MoveLimits, now: float) -> float:
+    """Let it find at `now` that nothing can be done; return for how long it waits."""
+    limits.start_backoff(now)
+    lasts = [2.0**k for k in range(12) if limits.is_backing_off(now + 2.0**k)]
+    return 2 * max(lasts, default=0.5)
+
+
+def test_what_stays_in_vain_is_thought_about_less_and_less() -> None:
+    limits = MoveLimits()
+    assert FIRST_BACKOFF == 2.0
+    assert [waits(limits, 1000.0 * k) for k in range(8)] == [
+        2,
+        4,
+        8,
+        16,
+        32,
+        64,
+        128,
+        256,
+    ]
+    limits.start_backoff(9000.0)
+    assert limits.is_backing_off(9000.0 + 0.99 * LONGEST_BACKOFF)
+    assert not limits.is_backing_off(9000.0 + LONGEST_BACKOFF)
+    limits.reset_backoff()
+    assert waits(limits, 10_000.0) == 2
+
+
+def test_after_a_transition_it_waits_only_until_that_has_settled() -> None:
+    limits = MoveLimits()
+    for now in (0.0, 2.0, 6.0, 14.0):
+        limits.start_backoff(now)
+    limits.note([AWAY], 15.0)
+    assert not limits.is_backing_off(15.0 + SETTLE)
+
+
+def test_a_decision_may_be_another_when_one_of_several_amounts_has_changed() -> None:
+    before = {"left": 1.0, "right": 1.0}
+    assert not has_changed(before, {"left": 1.02, "right": 0.98})
+    assert has_changed(before, {"left": 1.02, "right": 0.5})
+    assert has_changed(before, {"left": 1.0})
+    assert has_changed(before, {**before, "third": 1.0})
+
+
+def test_what_stops_or_starts_again_where_it_was_may_be_there_at_once() -> None:
+    limits = MoveLimits()
+    stops = [TransitionStep("a", "left"), TransitionStep("c", "left")]
+    limits.note([*stops, TransitionStep("c", target="left")], 0.0)
+    limits.note([TransitionStep("b", target="left")], 0.0)
+    assert limits.quarantined(1.0) == {}
 
 
 def test_a_cool_down_is_none_the_shorter_when_things_have_changed() -> None:

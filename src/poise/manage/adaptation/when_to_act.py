@@ -94,7 +94,6 @@ class MoveLimits:
         """Think at once about what goes wrong next: nothing is wrong now."""
         self._idle_until = float("-inf")
         self._backoff = FIRST_BACKOFF
-        self._in_vain = None
 
     def note(self, steps: Iterable[TransitionStep], now: float) -> None:
         """Remember a transition, whether it went well or not."""
