@@ -65,8 +65,8 @@ class _MessageMeta(StructMeta):
 class Message(Struct, metaclass=_MessageMeta, frozen=True):
     """Base of messages and states: typed, and not changed once handed over.
 
-    Fields may be anything msgspec encodes, other messages, and NumPy arrays. A
-    received array is read-only.
+    Fields may be anything msgspec encodes, other messages, and NumPy arrays. An array
+    from another container is read-only; within one, it is the sender's own.
     """
 
 
