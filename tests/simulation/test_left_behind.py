@@ -71,3 +71,16 @@ def test_an_alternative_does_not_begin_beside_itself(
     outcome = simulate(scenario, 1)
     assert outcome.message == ""
     assert any("did not replace architecture 'lidar'" in line for line in outcome.trace)
+
+
+@pytest.mark.slow
+def test_the_next_leader_knows_what_may_be_at_work_yet() -> None:
+    faults = (
+        SimulatedFault(4.0, "isolate computer", "c", lasts=16.0),
+        SimulatedFault(6.0, "kill manager", "a", lasts=0.5),
+    )
+    election = small_scenario(elects=True).election
+    scenario = structs.replace(_seeing_again(), faults=faults, election=election)
+    outcome = simulate(scenario, 1)
+    assert outcome.message == ""
+    assert any("may still be at work on 'c'" in line for line in outcome.trace)

@@ -80,6 +80,8 @@ class Desired(Struct, frozen=True, kw_only=True):
     other_code: Mapping[str, OtherCode] = {}
     # component that is not placed -> its epoch when it ended
     ended: Mapping[str, int] = {}
+    # what may be at work yet, though it is to end: its agent has not said that it has
+    left_behind: tuple[Incarnation, ...] = ()
     # what the next manager needs to go on with the tasks; agents keep it
     tasks: bytes = b""
     generation: int = 0

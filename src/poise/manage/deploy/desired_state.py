@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import secrets
 import threading
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import partial
 from typing import Any
 
@@ -150,11 +150,10 @@ class DesiredState:
         self,
         kept: Mapping[str, Incarnation],
         last_epochs: Mapping[str, int],
-        tasks: bytes,
+        record: Desired,
         held: frozenset[str],
         parameters: Mapping[str, Mapping[str, Any]],
         other_code: Mapping[str, OtherCode],
-        ended: Mapping[str, int],
     ) -> None:
         """Go on with what an earlier manager left, in place of what was planned."""
         self._epochs = dict(last_epochs)
@@ -165,11 +164,12 @@ class DesiredState:
         # that is older than what they were told last
         desired = Desired(
             placed=dict(kept),
-            tasks=tasks,
+            tasks=record.tasks,
             held=held,
             parameters=parameters,
             other_code=other_code,
-            ended={**ended, **last_epochs},
+            ended={**record.ended, **last_epochs},
+            left_behind=record.left_behind,
             generation=self._last_epoch,
         )
         self.commit(desired, "taking the robot over")
@@ -251,6 +251,14 @@ class DesiredState:
     def _own_code(self, component: str) -> str:
         return f"{self.robot.component(component).implementation}@{self.robot.deployed}"
 
+    def _unleased(self, left: Iterable[Incarnation]) -> Iterator[Incarnation]:
+        """Yield what no lease ends, and what may begin on another computer."""
+        allowed = allowed_computers(self.robot)
+        for each in left:
+            is_elsewhere = len(allowed.get(each.component, ())) > 1
+            if is_elsewhere and each.component not in self.layout.leased:
+                yield each
+
     def why_held(self, component: str) -> str:
         """Return why a component stays inactive, for people."""
         missing = allowed_computers(self.robot)[component] - self.claimed
@@ -271,6 +279,7 @@ class DesiredState:
                     parameters=desired.parameters,
                     other_code=desired.other_code,
                     ended=desired.ended,
+                    left_behind=tuple(self._unleased(desired.left_behind)),
                 )
             encoded, term = encode(desired), self.agents.manager.term
             is_last = self.desired.is_stopped

@@ -6,7 +6,7 @@ the agents there. What does run is what they observed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from math import inf
 
 from msgspec import structs
@@ -106,30 +106,33 @@ class LiveRobot(DesiredState):
         self.goes_on_without_lost = False
         """Whether a lost computer is a deviation; else it ends what waits."""
         self._away_since: dict[str, float] = {}
-        self._left_behind: dict[tuple[str, int], Incarnation] = {}
 
     def commit(self, desired: Desired, why: str, *, tell_later: bool = False) -> None:
         """Let something else run from now on; faults after that explain a wait."""
-        before = self.desired.incarnations()
         self._faults_before_commit = last_numbers(self.agents.statuses())
+        if desired != self.desired:
+            left = tuple(self._left_behind(desired))
+            desired = structs.replace(desired, left_behind=left)
         super().commit(desired, why, tell_later=tell_later)
-        self._note_left_behind(before)
 
-    def _note_left_behind(self, before: Iterable[Incarnation]) -> None:
-        """Remember what is to end, until its agent says that it has."""
+    def _left_behind(self, desired: Desired) -> Iterator[Incarnation]:
+        """Yield what is to end once something else runs, or has not ended yet."""
         away, current = self.agents.out_of_reach(), self.current()
-        wanted = {i.key for i in self.desired.incarnations() if i.goal == "active"}
-        left = {i.key: i for i in before if i.goal == "active"}
-        self._left_behind = {
-            key: incarnation
-            for key, incarnation in (self._left_behind | left).items()
-            if key not in wanted
-            and (
-                incarnation.computer in away
-                or incarnation.computer not in current
-                or self.reported(incarnation) is not None
+        wanted = {i.key for i in desired.incarnations() if i.goal == "active"}
+        for each in desired.left_behind:
+            is_there = (
+                each.computer in away
+                or each.computer not in current
+                or self.reported(each) is not None
             )
-        }
+            if is_there and each.key not in wanted:
+                yield each
+        known = wanted.union(each.key for each in desired.left_behind)
+        for each in self.desired.incarnations():
+            # what was only planned was told to nobody
+            is_told = self.desired.generation > 0
+            if is_told and each.goal == "active" and each.key not in known:
+                yield each
 
     def end_left_behind(
         self, coming: Collection[Incarnation], lost: Collection[str] = ()
@@ -145,7 +148,7 @@ class LiveRobot(DesiredState):
         names = {i.component for i in coming}
         left = [
             i
-            for i in self._left_behind.values()
+            for i in self.desired.left_behind
             if i.component in names and i.key not in keys
         ]
         away = {i.computer for i in left} & self.agents.out_of_reach().keys()

@@ -97,6 +97,9 @@ def start_or_take_over(
         if live.agents.election is None:
             away = everyone - live.claimed - unclaimed.keys()
             unclaimed |= _at_work_elsewhere(live, away)
+            gone = away - unclaimed.keys()
+            left = tuple(i for i in record.left_behind if i.computer not in gone)
+            record = structs.replace(record, left_behind=left)
         live.claimed |= everyone - unclaimed.keys()
     statuses = live.agents.statuses()  # a lease may have ended meanwhile
     fenced = {name for name, status in statuses.items() if status.cut_off}
@@ -150,11 +153,10 @@ def _take_over(
     live.adopt(
         adoption.kept,
         _last_epochs(reported),
-        record.tasks,
+        record,
         held,
         {**changed_parameters(reported), **record.parameters},
         {n: c for n, c in record.other_code.items() if n not in adoption.restarts},
-        record.ended,
     )
     for sentence in (*unclaimed.values(), *live.unreached().values()):
         live.journal.note("wrong", sentence)
