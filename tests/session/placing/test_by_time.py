@@ -176,6 +176,21 @@ def test_a_chain_that_is_late_anywhere_is_placed_and_said(placed: Place) -> None
     assert "misses its deadline" not in str(placed())
 
 
+def test_a_chain_that_is_late_in_some_robots_only_is_said(placed: Place) -> None:
+    """The mean of their 99th percentiles may be within the deadline."""
+    found = placed(chains=CHAIN)
+    predicted = found.predicted["go"]
+    (chain,) = predicted.chains
+    assert chain.margin > 0
+    some = replace(predicted, chains=(replace(chain, late=0.25),))
+    (said,) = (
+        part
+        for part in plan_parts(found.task_result, {"go": some})
+        if isinstance(part, str) and "misses its deadline" in part
+    )
+    assert "25% of its data is older than 100 ms" in said
+
+
 @pytest.mark.slow
 def test_a_plan_knows_of_deadlines_that_only_the_code_declares(
     placed: Place, tmp_path: Path
