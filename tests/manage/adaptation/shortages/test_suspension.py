@@ -21,6 +21,7 @@ from poise.manage.agent_connections.agents import Agents
 from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.journal import Journal
 from poise.manage.observe.estimates import DemandEstimate, Load
+from poise.manage.shortages import suspension
 from poise.manage.shortages.suspension import (
     CALM,
     DOUBT_AFTER,
@@ -202,6 +203,35 @@ def test_other_programs_count_for_more_before_it_is_taken_back() -> None:
     robbed.take_back(0.0, 0.15)
     assert not robbed.take_back(100.0, 0.15)
     assert robbed.take_back(200.0, 0.13)
+
+
+def test_room_is_looked_for_less_and_less_until_something_is_new(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Since 0 s nothing is wrong; 0.6 of 1 are taken, and both need 0.8."""
+    robbed = Robbed(robot_with(), HIGH)
+    now, looks = 0.0, list[float]()
+
+    def no_room(*_: object) -> dict[str, str]:
+        looks.append(now)
+        return {}
+
+    def looks_until(end: float, lost: frozenset[str] = frozenset()) -> list[float]:
+        nonlocal now
+        looks.clear()
+        robbed.suspensions.record()
+        while now < end:
+            situation = replace(robbed.situation(0.6), lost=lost)
+            assert not robbed.respond(robbed.taking_back, situation, now)
+            now += 0.5
+        return list(looks)
+
+    monkeypatch.setattr(suspension, "room_for_components", no_room)
+    assert looks_until(60.0) == [CALM, 7.0, 11.0, 19.0, 35.0]
+    assert looks_until(70.0, frozenset({"other"})) == [60.0, 62.0, 66.0]
+    assert looks_until(73.0, frozenset({"other"})) == []
+    robbed.suspensions.release()  # a person asked
+    assert looks_until(80.0, frozenset({"other"})) == [73.0]
 
 
 def test_nothing_is_taken_back_while_something_is_wrong() -> None:
