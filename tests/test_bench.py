@@ -95,6 +95,19 @@ def test_a_required_port_must_be_given() -> None:
         Bench(Pump, {"wish": 8})
 
 
+class Asker(Component):
+    tank: Required[Tank]
+
+    @every(0.1)
+    def ask(self) -> None:
+        self.start_call(self.tank.level).then(lambda _: 1 / 0)
+
+
+def test_what_takes_an_answer_raises_comes_out() -> None:
+    with pytest.raises(ZeroDivisionError):
+        Bench(Asker, tank=HalfFull()).advance(0.1)
+
+
 def test_what_the_code_raises_comes_out() -> None:
     class Dry(Tank):
         def level(self) -> float:

@@ -82,7 +82,10 @@ class StartedCall(Generic[R]):
             finally:
                 self._calls.end()
 
-        self._future.add_done_callback(lambda _: self._calls.turn(turn))
+        if self._future.done():  # what a turn on a bench raises comes out here
+            self._calls.turn(turn)
+        else:
+            self._future.add_done_callback(lambda _: self._calls.turn(turn))
 
     def cancel(self) -> bool:
         """Drop the answer; return whether it was still to come.
