@@ -102,10 +102,20 @@ class Asker(Component):
     def ask(self) -> None:
         self.start_call(self.tank.level).then(lambda _: 1 / 0)
 
+    @every(1.0)
+    def look(self) -> None:
+        self.age("ordre")
+
 
 def test_what_takes_an_answer_raises_comes_out() -> None:
     with pytest.raises(ZeroDivisionError):
         Bench(Asker, tank=HalfFull()).advance(0.1)
+
+
+def test_the_age_of_a_port_that_is_not_there_is_refused() -> None:
+    bench = Bench(Asker, tank=HalfFull())
+    with pytest.raises(UsageError, match="Asker subscribes no 'ordre', but nothing"):
+        bench.component.look()
 
 
 def test_what_the_code_raises_comes_out() -> None:

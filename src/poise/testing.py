@@ -75,7 +75,7 @@ class Bench(Generic[C]):
         self._watchers = watchers_of(implementation)
         self._came: dict[str, float] = {}
         context = Context(
-            age=lambda port: self.clock.now() - self._came.get(port, -inf),
+            age=self._age,
             name=implementation.__name__,
             parameters=parameters or {},
             devices=devices or {},
@@ -167,6 +167,11 @@ class Bench(Generic[C]):
     def _no_port(self, name: str, kind: str) -> str:
         known = ", ".join(self._named(kind)) or "nothing"
         return f"{self.component.name} {kind} no '{name}', but {known}"
+
+    def _age(self, port: str) -> float:
+        if port not in self._named("subscribes"):
+            raise UsageError(self._no_port(port, "subscribes"))
+        return self.clock.now() - self._came.get(port, -inf)
 
     def _measure(self, name: str, value: float) -> None:
         self.measured.setdefault(name, []).append(value)
