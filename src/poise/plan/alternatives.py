@@ -148,6 +148,12 @@ def _priority(need: Need) -> int:
     return max(bundle.priority for bundle in need)
 
 
+def given_up(problem: Problem, suspended: Collection[str]) -> list[int]:
+    """Return the priorities of what is suspended, highest first; less is better."""
+    gone = (need for need in needs(problem) if need[0].name in suspended)
+    return sorted(map(_priority, gone), reverse=True)
+
+
 class _Admission:
     """Finds what to keep: as many as possible of the first level, then of the next."""
 

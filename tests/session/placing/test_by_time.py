@@ -191,6 +191,29 @@ def test_a_chain_that_is_late_in_some_robots_only_is_said(placed: Place) -> None
     assert "25% of its data is older than 100 ms" in said
 
 
+def test_nothing_is_suspended_so_that_less_is_late(tmp_path: Path) -> None:
+    """All fits in one way, which the greedy does not find: it suspends a function."""
+    needs = {"a": 0.6, "b": 0.4, "c": 0.4, "d": 0.3, "e": 0.3}
+    functions = ", ".join(
+        f"{name}: {{function: {name}, components: {{{name}1: {{cpu: {cpu}}}}}}}"
+        for name, cpu in needs.items()
+    )
+    (tmp_path / "robot.yaml").write_text(f"""
+robot: full
+computers: {{one: {{cpu: 1, memory: 1 GiB}}, two: {{cpu: 1, memory: 1 GiB}}}}
+architectures: {{{functions}}}
+connectors: [{{between: [a1, e1], message: 1 kB, rate: 10 Hz}}]
+chains: {{see: {{through: [a1, e1], deadline: 1 ms}}}}
+""")
+    robot = load(tmp_path / "robot.yaml")
+    assert place(robot, method="greedy", fewer=True).result.suspended
+    found = place(robot, fewer=True)
+    assert found.result.suspended == ()
+    assert found.task_result.bound is not None
+    assert found.task_result.total is not None
+    assert found.task_result.bound <= found.task_result.total
+
+
 @pytest.mark.slow
 def test_a_plan_knows_of_deadlines_that_only_the_code_declares(
     placed: Place, tmp_path: Path

@@ -22,6 +22,7 @@ from msgspec.structs import replace
 from poise import plan
 from poise.model.robot import Robot
 from poise.plan import TimeLimit
+from poise.plan.alternatives import given_up
 from poise.session.placing.limits_of_work import chain_limits, timer_limits
 from poise.session.profiling.stored_profiles import read_profile
 from poise.session.robot_file import with_code
@@ -117,16 +118,28 @@ def _tried(
 def _distinct(found: Sequence[DecidedByTime]) -> list[DecidedByTime]:
     """Return different placements, the best first.
 
-    Of two decisions for the same, the last one: what it was decided by is what was
-    predicted of it.
+    None suspends more than another does. Of two decisions for the same, the last one:
+    what it was decided by is what was predicted of it.
     """
     distinct: list[DecidedByTime] = []
-    latest_first = found[::-1]
+    least = min(map(_given_up, found), default=[])
+    latest_first = [each for each in found[::-1] if _given_up(each) == least]
     for decided in sorted(latest_first, key=_total):
         placed = _placed(decided.task_result)
         if all(placed != _placed(other.task_result) for other in distinct):
             distinct.append(decided)
     return distinct
+
+
+def _given_up(decided: DecidedByTime) -> list[int]:
+    """Return the priorities of what is suspended in all phases, highest first."""
+    results = decided.task_result.results
+    priorities = (
+        priority
+        for phase in decided.task_result.problem.phases
+        for priority in given_up(phase.problem, results[phase.name].suspended)
+    )
+    return sorted(priorities, reverse=True)
 
 
 def _improved(
@@ -236,7 +249,11 @@ def _settle(result: plan.TaskResult, free: plan.TaskResult) -> None:
         bound = by.bound if is_same and by.bound is not None else -inf
         total = each.objective.total if each.objective else inf
         each.settle(bound, proven=is_same and by.proven and total <= bound + _ROUNDING)
-    result.bound = least = free.bound
+    is_same = all(
+        each.suspended == free.results[name].suspended
+        for name, each in result.results.items()
+    )
+    result.bound = least = free.bound if is_same else None
     whole = inf if result.total is None else result.total
     result.proven = free.proven and least is not None and whole <= least + _ROUNDING
 
