@@ -17,17 +17,25 @@ from poise import Component, Message, Provided, Published, every, oneway, subscr
 from poise.clock import SystemClock
 from poise.errors import Timeout, UsageError
 from poise.runtime.connectors.interface import methods
+from poise.runtime.connectors.latest import Heard
 from poise.runtime.execution.counters import Counts
 from poise.runtime.execution.data_age import Stamped
 from poise.runtime.hosting.checkpoints import Checkpoints
 from poise.runtime.hosting.outside_requests import OutsideRequests
 from poise.runtime.hosting.runner import Runner
-from poise.runtime.migration.state_transfer import Request, StateSender, fetch, restore
+from poise.runtime.migration.state_check import describe_type
+from poise.runtime.migration.state_transfer import (
+    Request,
+    StateSender,
+    StateTransfer,
+    fetch,
+    restore,
+)
 from poise.wire import frame
-from poise.wire.codec import pack
+from poise.wire.codec import codec, pack
 from poise.wire.connections.channel import Channel
-from poise.wire.frame import Frame, Pieces
-from poise.wire.records.deployment_records import ComponentSpec
+from poise.wire.frame import Frame, FrameKind, Pieces
+from poise.wire.records.deployment_records import ChainPart, ComponentSpec
 from poise.wire.records.request_records import PARAMETERS, PortRequest
 from tests.waiting import wait_until
 
@@ -198,7 +206,10 @@ def tell(runner: Runner, *words: str) -> None:
 
 
 def test_state_and_timers_go_over(incarnations: Incarnations) -> None:
-    old = incarnations.start(Book, active=True)
+    old = incarnations.start(Book, active=False)
+    old.timers.begin_at({"tick": old.clock.now() + 300.0})
+    old.aim("active")
+    old.life_cycle.wait_state({"active"}, LIMIT)
     new = incarnations.start(Book, active=False)
     tell(old, "a", "b")
     channel = rest(old)
@@ -239,6 +250,53 @@ def test_what_it_was_told_and_says_of_tasks_goes_over(
     assert (texts(new), new.begun) == (("look",), {7})
     assert new.status().ends == old.status().ends
     assert new.status().task_requests == old.status().task_requests
+
+
+def test_an_action_that_begins_amid_a_move_is_told_to_the_target_only(
+    incarnations: Incarnations,
+) -> None:
+    spec = replace(BOOK, ends=("done",), actions={7: "look"})
+    old = incarnations.start(Acting, active=True, spec=replace(spec, goal="active"))
+    wait_until(lambda: texts(old) == ("look",))
+    spec = replace(spec, actions={7: "look", 8: "go"})
+    new = incarnations.start(Acting, active=False, spec=spec)
+    restore(new, fetch(rest(old), Request.ALL, LIMIT))
+    new.aim("active")
+    wait_until(lambda: texts(new) == ("look", "go"))
+
+
+@pytest.mark.parametrize(
+    ("fresh", "state", "kept"),
+    [(False, ("a",), {"a-b": (1, 5)}), (False, (), {}), (True, ("a",), {})],
+)
+def test_with_its_state_goes_what_it_has_heard(
+    incarnations: Incarnations,
+    fresh: bool,  # noqa: FBT001, a parameter
+    state: tuple[str, ...],
+    kept: Heard,
+) -> None:
+    """Else it needs the last messages again."""
+    new = incarnations.start(Book, active=False, spec=replace(BOOK, fresh=fresh))
+    given = StateTransfer(heard={"notes": {"a-b": (1, 5)}})
+    if state:
+        pieces = frame.segments(codec(Notes), Notes(state), FrameKind.MESSAGE)
+        said = describe_type(Notes)
+        given = replace(given, state=b"".join(pieces), state_type=said)
+    restore(new, given)
+    assert new.endpoints.heard["notes"] == kept
+    assert texts(new) == (() if fresh else state)
+
+
+def test_data_that_the_target_makes_next_is_as_old_as_what_the_source_took(
+    incarnations: Incarnations,
+) -> None:
+    spec = replace(BOOK, chains=(ChainPart(name="c"),))
+    old = incarnations.start(Book, active=True, spec=replace(spec, goal="active"))
+    new = incarnations.start(Book, active=False, spec=spec)
+    took = old.clock.now() - 5.0
+    old.ages.restore({"c": old.clock.stamp(took)})
+    restore(new, fetch(rest(old), Request.ALL, LIMIT))
+    assert new.ages.local(new.ages.held()["c"]) == pytest.approx(took, abs=1e-3)
 
 
 def test_what_waits_goes_over_in_order(incarnations: Incarnations) -> None:
