@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import stat
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
@@ -152,6 +153,24 @@ def test_damaged_keys_are_refused(authority: Authority) -> None:
     (keys.folder / credentials.CERTIFICATE).write_text("nonsense")
     with pytest.raises(RunError, match=r"certificate\.pem is no certificate"):
         Credentials(keys.folder).check("hello", "agent")
+
+
+@pytest.mark.parametrize("name", [credentials.AUTHORITY, credentials.PRIVATE_KEY])
+def test_keys_that_were_cut_short_are_refused(authority: Authority, name: str) -> None:
+    keys = issue(authority)
+    (keys.folder / name).write_bytes((keys.folder / name).read_bytes()[:100])
+    with pytest.raises(RunError, match="left are unusable: "):
+        Credentials(keys.folder).check("hello", "agent")
+
+
+def test_keys_that_this_user_cannot_read_are_named(
+    authority: Authority, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = issue(authority).folder
+    monkeypatch.setattr(Path, "open", Mock(side_effect=PermissionError))
+    why = r"authority\.pem cannot be read by this user: chown it"
+    with pytest.raises(UsageError, match=why):
+        Credentials(folder)
 
 
 def test_keys_of_another_robot_or_role_are_refused(authority: Authority) -> None:

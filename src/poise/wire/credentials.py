@@ -48,6 +48,13 @@ class Credentials:
         self.folder = folder
         self._renewed: tuple[tuple[int, int], Sequence[bytes]] = (0, 0), ()
         self._raise_if_missing(*FILES)
+        for name in FILES:
+            try:
+                (folder / name).open("rb").close()
+            except PermissionError:
+                raise UsageError(
+                    f"{folder / name} cannot be read by this user: chown it"
+                ) from None
         if (folder / PRIVATE_KEY).stat().st_mode & _PRIVATE:
             raise UsageError(
                 f"{folder / PRIVATE_KEY} can be read by others: chmod 600 it"
@@ -112,7 +119,10 @@ class Credentials:
         return f"the certificate of {self.name} {ends}: `poise keys issue` renews it"
 
     def check(self, robot: str, *roles: Role) -> Credentials:
-        """Return these keys; UsageError unless they are this robot's, for a role."""
+        """Return these keys; UsageError unless they are this robot's, for a role.
+
+        RunError: they are damaged.
+        """
         if self.robot != robot:
             raise UsageError(
                 f"the keys in {self.folder} are robot '{self.robot}'s, not '{robot}'s"
@@ -124,10 +134,12 @@ class Credentials:
             )
         if self.role != "viewer":
             self._raise_if_missing(HEARTBEATS)
+            _ = self.signing
         # the clock of an agent's computer may be set in a moment
         is_early = "agent" not in roles and wall_time() < self.begins
         if is_early or self.expires <= wall_time():
             raise UsageError(self.warning())
+        self.load()  # zenoh says less of files that are damaged
         return self
 
     def _raise_if_missing(self, *names: str) -> None:
