@@ -335,3 +335,5 @@ def test_a_phase_is_found_by_what_runs_in_it() -> None:
         result.first_with("z")
     with pytest.raises(UsageError, match=r"phase 'p0' has no placement: b needs 0\.6"):
         result.explain("p0", "b")
+    with pytest.raises(UsageError, match="'b' is not in phase 'p1'; it is in: p0"):
+        result.explain("p1", "b")

@@ -158,6 +158,10 @@ class TaskResult(Struct, eq=False):
         UsageError
             No phase has it.
         """
+        found = self._phases_with(name)
+        return next((p for p in found if self.results[p].placement), found[0])
+
+    def _phases_with(self, name: str) -> list[str]:
         known: dict[str, None] = {}
         found: list[str] = []
         for phase in self.problem.phases:
@@ -170,7 +174,7 @@ class TaskResult(Struct, eq=False):
             raise UsageError(
                 f"no component is called {name!r} (there are: {', '.join(known)})"
             )
-        return next((p for p in found if self.results[p].placement), found[0])
+        return found
 
     @property
     def only(self) -> tuple[Problem, Result]:
@@ -200,10 +204,14 @@ class TaskResult(Struct, eq=False):
         Raises
         ------
         UsageError
-            There is no such phase or component, or the phase has no placement.
+            There is no such phase or component, or the phase is without it or without
+            a placement.
         """
         if phase not in self.results:
             raise UsageError(unknown("phase", phase, self.results))
+        if phase not in (found := self._phases_with(name)):
+            what = f"{name!r} is not in phase {phase!r}; it is in: {', '.join(found)}"
+            raise UsageError(what)
         if not self.results[phase].placement:
             reason = self.results[phase].reason
             raise UsageError(f"phase {phase!r} has no placement: {reason}")
