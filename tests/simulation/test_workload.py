@@ -316,6 +316,7 @@ def test_says_that_a_profile_does_not_know_what_handlers_wait_for(robot: Robot) 
         work = workload_of(robot, structs.replace(profile, components=components))
         assert (NO_WAITS in work.guesses) == is_said
     assert NO_WAITS in workload_of(robot, profile_of(robot)).guesses  # nor of CPU
+    assert NO_WAITS.endswith("need a longer --for")  # a short one has no run of some
 
 
 @pytest.mark.parametrize("starts", [{}, {"tick": {"out": False}}])

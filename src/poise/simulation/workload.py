@@ -70,9 +70,10 @@ NO_PROFILE = (
 """Said where nothing was measured."""
 NO_WAITS = (
     "the profile does not say how long some handlers wait for what is not CPU, such as "
-    "a device: the ages are predicted as if they did not; `poise profile` measures it"
+    "a device: the ages are predicted as if they did not; `poise profile` measures it; "
+    "handlers that run rarely need a longer --for"
 )
-"""Said of profiles that an older Poise wrote."""
+"""Said of profiles that an older Poise wrote, or where a handler ran too rarely."""
 
 Place = tuple[str, str, int]
 """Where something comes in: the port, the function that it comes from, and a number;
