@@ -125,6 +125,7 @@ def test_a_computer_that_is_cut_off_is_lost_and_its_lease_ends_first(
     assert world.is_held("third")
     world.run(SURELY_ENDED - LEASE + EVERY)
     assert world.have_leases_ended("left")
+    assert not world.have_leases_ended("left", "right")
 
 
 def test_a_lease_ends_as_soon_when_others_tell_of_the_silence_late(
