@@ -302,6 +302,19 @@ def test_what_is_interrupted_has_not_looked_at_each_set_of_computers() -> None:
     assert not few.proven
 
 
+def test_nothing_is_suspended_so_that_less_moves() -> None:
+    """With `a` and `b` where they were before, the others do not fit beside them."""
+    big = (item("a", 0.2, "one"), item("b", 0.2, "one"))
+    small = [item(name, 0.15) for name in ("c", "d", "e", "f")]
+    every = (*(replace(c, only=()) for c in big), *small)
+    bundles = (Bundle(name=c.name, components=(c.name,)) for c in every)
+    then = replace(alone(*every), architectures=tuple(bundles))
+    task = in_turn(alone(*big), then, move={"a": 10.0, "b": 10.0})
+    assert plan.solve(then, method="greedy", fewer=True).suspended == ()
+    result = plan.solve_phases(task, method="greedy", fewer=True)
+    assert result.results["p1"].suspended == ()
+
+
 def test_phases_with_other_priorities_share_cpu_as_one_problem() -> None:
     """Each priority has a soft limit of its own; F of both adds up."""
     one, two, three = item("a", 0.4), item("b", 0.4), item("c", 0.4)

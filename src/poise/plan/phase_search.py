@@ -17,6 +17,7 @@ from time import perf_counter
 from msgspec.structs import replace
 
 from poise.plan._core import Core
+from poise.plan.alternatives import given_up
 from poise.plan.phase_problem import TaskProblem, beside, with_moves
 from poise.plan.phase_result import TaskResult
 from poise.plan.planner import BUDGET, Budget, Effort, Planner
@@ -92,9 +93,9 @@ class PhaseSearch:
         held: dict[str, Result] = {}
         share = CHAINED / 2 / len(start)
         for name in start:
-            held[name] = self._step(name, held, share, left) or start[name]
+            held[name] = self._step(name, held, start[name], share, left)
         for name in reversed(list(start)):
-            held[name] = self._step(name, held, share, left) or held[name]
+            held[name] = self._step(name, held, held[name], share, left)
         return held
 
     def together(self, start: Solution, left: Left, bound: float) -> dict[str, Result]:
@@ -131,24 +132,27 @@ class PhaseSearch:
         return result
 
     def _step(
-        self, name: str, held: Solution, share: float, left: Left
-    ) -> Result | None:
-        """Place one phase beside those that are held; None when that finds nothing."""
+        self, name: str, held: Solution, now: Result, share: float, left: Left
+    ) -> Result:
+        """Place one phase beside those that are held; as `now` if that is no worse."""
         if self.interrupted or (self._effort.steps is None and left() <= 0):
-            return None
+            return now
         placements = {phase: h.placement for phase, h in held.items()}
         problem = with_moves(self._problem, name, placements, start=True)
         result = self._decide(problem, share)
-        if not result.placement:
-            return None
+        runs_less = given_up(problem, result.suspended) > given_up(
+            problem, now.suspended
+        )
+        if runs_less or not result.placement:  # its F is that of less
+            return now
         compiled = CompiledProblem(
             keep_components(self._problems[name], result.placement)
         )
         moved = _of(compiled, compiled.arrays.placed(result.placement), result.choice)
         if name not in held:
             return moved
-        now = self._cost({name: held[name]}, held)
-        return moved if self._cost({name: moved}, held) < now else held[name]
+        cost = self._cost({name: now}, held)
+        return moved if self._cost({name: moved}, held) < cost else now
 
     def _some_beside(self, names: Sequence[str], random: Random) -> list[str]:
         """Return two or three phases of which each is beside another one."""
