@@ -297,6 +297,12 @@ def test_the_cheapest_computers_for_tasks(phases_file: Path) -> None:
     assert list(answer["tasks"]) == ["talk", "serve"]
 
 
+def test_a_high_price_is_not_rounded(phases_file: Path) -> None:
+    phases_file.write_text(PHASES.replace("price: 2", "price: 1234567.25"))
+    said = call(phases_file, "--smallest", "--task", "serve").stdout
+    assert "fits on 2, price 1234570.25: left, right" in said
+
+
 def test_where_nothing_fits_the_cheapest_computers_say_what_is_missing(
     tmp_path: Path,
 ) -> None:

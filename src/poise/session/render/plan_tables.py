@@ -176,7 +176,7 @@ def show_smallest(few: plan.Smallest, price: float, console: Console) -> None:
     known = "no cheaper set will do" if few.proven else "a cheaper set may do"
     names = ", ".join(few.computers)
     console.print(
-        f"fits on {len(few.computers)}, price {price:g}: {escape(names)}; {known}",
+        f"fits on {len(few.computers)}, price {price:.12g}: {escape(names)}; {known}",
         highlight=False,
     )
 
