@@ -147,9 +147,10 @@ class FakeAgents:
         self.stored = stored
 
     def elect(self, *, take_over: bool) -> dict[str, Claimed]:
-        """Let all agents obey, with what they have stored."""
+        """Let all agents that answer obey, with what they have stored."""
         self.is_forced = take_over
-        return {name: Claimed(self.stored) for name in self._statuses}
+        there = self._statuses.keys() - self.gone
+        return {name: Claimed(self.stored) for name in there}
 
     def has_stored(self, _generation: int) -> bool:
         """Need no votes."""

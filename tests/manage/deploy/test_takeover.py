@@ -279,6 +279,19 @@ def test_a_standby_leads_a_robot_that_runs_nothing(robot: Robot) -> None:
     assert "took over" in sentences(journal)
 
 
+def test_a_standby_remembers_what_had_begun_for_an_action_that_did_not(
+    robot: Robot,
+) -> None:
+    """The leader before was gone in between; it may be at work out of reach."""
+    begun = LEFT[1]
+    record = Desired(placed={"grabber": LEFT[0]}, coming=(begun,), generation=6)
+    run, agents, _ = standby_of(robot, record)
+    agents.gone.add("left")
+    start_or_take_over(run, follows=True)
+    assert "thinker" not in run.placed
+    assert begun.key in {each.key for each in run.desired.left_behind}
+
+
 def test_a_standby_that_does_not_know_of_a_stop_finishes_it(robot: Robot) -> None:
     run, agents, _ = standby_of(robot, Desired(generation=6, is_stopped=True))
     with pytest.raises(RunError, match="the robot was stopped"):

@@ -150,6 +150,9 @@ def _take_over(
     )
     _note(live, adoption)
     starts = where_held(live.robot, adoption.starts, held, live.claimed)
+    kept = {each.key for each in adoption.kept.values()}
+    ends = (r.incarnation for r in reported if r.goal == "active" and r.key not in kept)
+    record = structs.replace(record, left_behind=(*record.left_behind, *ends))
     live.adopt(
         adoption.kept,
         _last_epochs(reported),
