@@ -23,6 +23,12 @@ FULL = ComputerValues(
     [
         ("full", True),
         ("not full", False),
+        ("not not full", True),
+        ("not (full and late > 2)", True),
+        ("not (lost or late == 3)", True),
+        ("not 10% < used < 40%", True),
+        ("not 10% < used < 50%", False),
+        ("not name == 'left'", False),
         ("full and late > 2", False),
         ("late" + " + 1" * 100 + " == 102", True),
         ("full and (late > 2 or memory > 200 MiB)", True),
@@ -57,6 +63,8 @@ def test_no_comparison_holds_for_nothing_divided_by_nothing(comparison: str) -> 
     for text in (
         f"used / capacity {comparison} 90%",
         f"90% {comparison} used / capacity",
+        f"not used / capacity {comparison} 90%",
+        f"not (not full and not used / capacity {comparison} 90%)",
     ):
         assert not parse_condition(text, ComputerValues)(nothing)
 

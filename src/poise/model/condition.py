@@ -11,6 +11,7 @@ import ast
 import math
 import re
 from collections.abc import Callable, Mapping
+from itertools import pairwise
 from string import Formatter
 from typing import Any, TypeAlias
 
@@ -211,6 +212,8 @@ class _Checker:
         if isinstance(node, ast.Compare):
             return self._comparisons(node.left, node.ops, node.comparators)
         if isinstance(node, ast.UnaryOp):
+            if (opposite := _opposite(node.operand)) is not None:
+                return self.of("truth value", opposite)
             return ast.UnaryOp(node.op, self.of("truth value", node.operand))
         parts = [self.of("truth value", part) for part in node.values]
         return ast.BoolOp(node.op, parts)
@@ -267,6 +270,26 @@ class _Checker:
         return steps[0] if len(steps) == 1 else ast.BoolOp(ast.And(), steps)
 
 
+def _opposite(node: ast.expr) -> ast.expr | None:
+    """Return what holds where an expression does not; None: it compares nothing.
+
+    Neither holds of what is not known, so `not` may not stand before a comparison.
+    """
+    match node:
+        case ast.UnaryOp(ast.Not(), inner):
+            return inner
+        case ast.BoolOp(op, parts):
+            other = ast.Or() if isinstance(op, ast.And) else ast.And()
+            return ast.BoolOp(other, [ast.UnaryOp(ast.Not(), part) for part in parts])
+        case ast.Compare(left, [op], [right]) if type(op) in _COMPARISONS:
+            return ast.Compare(left, [_COMPARISONS[type(op)]()], [right])
+        case ast.Compare(left, [_, _, *_] as ops, rights):
+            pairs = zip(ops, pairwise([left, *rights]), strict=True)
+            steps = [ast.Compare(one, [op], [another]) for op, (one, another) in pairs]
+            return _opposite(ast.BoolOp(ast.And(), [*steps]))
+    return None
+
+
 def _call(function: Callable[..., Value], *values: ast.expr) -> ast.expr:
     return ast.Call(ast.Name(function.__name__, ast.Load()), [*values], [])
 
@@ -317,4 +340,12 @@ def _differ(one: Value, another: Value) -> bool:
 
 
 _FUNCTIONS = {function.__name__: function for function in (_divide, _differ)}
-_COMPARISONS = (ast.Lt, ast.LtE, ast.Gt, ast.GtE, ast.Eq, ast.NotEq)
+_COMPARISONS: Mapping[type[ast.cmpop], type[ast.cmpop]] = {
+    ast.Lt: ast.GtE,
+    ast.GtE: ast.Lt,
+    ast.Gt: ast.LtE,
+    ast.LtE: ast.Gt,
+    ast.Eq: ast.NotEq,
+    ast.NotEq: ast.Eq,
+}
+"""Comparisons, and their opposites."""
