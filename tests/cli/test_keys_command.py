@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from poise.cli.agent_command import keys_for
+from poise.errors import UsageError
 from tests.command import run_poise
 
 
@@ -52,6 +54,17 @@ def test_who_may_only_look_gets_no_keys_to_lead_the_robot(tmp_path: Path) -> Non
     assert done.returncode == 2
     assert "--leads is for computers, not with --role viewer" in done.stderr
     assert not (tmp_path / "out").exists()
+
+
+def test_no_agent_starts_with_the_keys_of_another_computer(tmp_path: Path) -> None:
+    """All seemed well, and what was said about its keys named the other computer."""
+    run_poise("keys", "issue", "hello", "left", "right", "--out", tmp_path)
+    left, right = tmp_path / "left", tmp_path / "right"
+    its = "hello", "left", "127.0.0.1"
+    assert keys_for(*its, left, is_insecure=False) == str(left)
+    why = "are of agent right, not of agent left: `poise keys issue hello left`"
+    with pytest.raises(UsageError, match=why):
+        keys_for(*its, right, is_insecure=False)
 
 
 def test_a_folder_that_is_not_there_has_no_keys(tmp_path: Path) -> None:

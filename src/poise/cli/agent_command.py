@@ -131,7 +131,7 @@ def agent_command(
             lifeline=lifeline,
             session_timeout=session_timeout,
             sample_every=parse_option("--sample-every", sample_every, SECONDS),
-            keys=keys_for(robot, address, keys, is_insecure=insecure),
+            keys=keys_for(robot, computer, address, keys, is_insecure=insecure),
             encrypts=not plain_connectors,
             allow=allowed(address, allow),
             account=account,
@@ -168,7 +168,7 @@ def witness_command(
             lifeline=lifeline,
             session_timeout=session_timeout,
             sample_every=0.0,
-            keys=keys_for(robot, address, keys, is_insecure=insecure),
+            keys=keys_for(robot, computer, address, keys, is_insecure=insecure),
             is_witness=True,
         )
     )
@@ -203,13 +203,20 @@ def _serve(setup: AgentSetup) -> None:
             raise typer.Exit(BROKEN) from None
 
 
-def keys_for(robot: str, address: str, keys: Path | None, *, is_insecure: bool) -> str:
+def keys_for(
+    robot: str, computer: str, address: str, keys: Path | None, *, is_insecure: bool
+) -> str:
     """Return the folder of the agent's keys; empty: it goes without."""
     check_ip(address)
     if is_insecure:
         return ""
     own = find(robot, "agent", folder=keys)
     if own is not None:
+        if own.name != f"agent {computer}":
+            raise UsageError(
+                f"the keys in {own.folder} are of {own.name}, not of agent {computer}: "
+                f"`poise keys issue {robot} {computer}` makes those"
+            )
         return str(own.folder.resolve())
     if ip_address(address).is_loopback:
         return ""
@@ -313,7 +320,7 @@ def install_command(
     arguments = ["--robot", robot, "--address", address, "--port", str(port)]
     if gateway:
         arguments += ["--gateway", str(gateway)]
-    found = keys_for(robot, address, keys, is_insecure=insecure)
+    found = keys_for(robot, computer, address, keys, is_insecure=insecure)
     arguments += ["--keys", found] if found else []
     if insecure:
         arguments.append("--insecure")
