@@ -62,6 +62,17 @@ class Anything(Message):
     what: Any
 
 
+class Thing(Message):
+    what: object
+
+
+@pytest.mark.parametrize("sent", [None, 7, [0.5, "half"], {"a": True}])
+def test_what_is_declared_as_any_object_comes_over(sent: Any) -> None:
+    assert over_the_wire(Thing(sent), Thing).what == sent
+    assert unpack(pack(Thing(sent)), Thing).what == sent
+    assert over_the_wire([sent], list[object]) == [sent]
+
+
 class Plain(Message):
     count: int
     share: float

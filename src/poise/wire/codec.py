@@ -171,7 +171,7 @@ def why_not(error: Exception) -> str:
 def _array_of(type_: Any, value: Any) -> Any:  # noqa: ANN401, msgspec's hook
     if isinstance(value, dict) and value.keys() == {"dtype", "shape", "data"}:
         value = _recorded_array(value)
-    if isinstance(value, list | int | float | bool):
+    if type_ is not object and isinstance(value, list | int | float | bool):
         wanted = (w for w in _declared(type_) if not w.__subclasses__())
         value = _array_from_list(value, next(wanted, None))
     return _check(type_, value)
@@ -303,6 +303,8 @@ def _decode_array(code: int, data: memoryview) -> np.ndarray:
 
 def _check(type_: Any, value: Any) -> Any:  # noqa: ANN401, msgspec's hook
     """Refuse an array whose dtype is not the one that ``NDArray[...]`` declares."""
+    if type_ is object:  # which is `Any`, but not for msgspec
+        return value
     if not isinstance(value, _numpy().ndarray):
         raise TypeError(f"a {type(value).__qualname__}, not an array")
     for wanted in _declared(type_):
