@@ -14,6 +14,7 @@ from poise.plan.problem.changed_problem import (
     keep_components,
     scale,
     share_cpu,
+    with_small_terms,
     without,
 )
 from poise.plan.problem.items import Bundle, Edge, Hop, Item, Run, SoftLimit, TimeLimit
@@ -74,5 +75,6 @@ __all__ = [
     "solve_phases",
     "static",
     "task_problem_of",
+    "with_small_terms",
     "without",
 ]

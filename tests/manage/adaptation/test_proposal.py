@@ -9,6 +9,7 @@ from msgspec.structs import replace
 
 from poise.errors import RobotError
 from poise.estimate.online import Drift, Estimate, Reading, RunningEstimate
+from poise.manage.adaptation.decision import decide
 from poise.manage.adaptation.proposal import propose
 from poise.manage.adaptation.situation import Situation
 from poise.manage.migration.migration_report import Proposal
@@ -20,6 +21,7 @@ from poise.model.robot import (
     Computer,
     Connector,
     ConnectorEnd,
+    Objective,
     Robot,
     Task,
 )
@@ -179,3 +181,16 @@ def test_what_fits_nowhere_is_said(robot: Robot) -> None:
 
 def counted(proposal: Proposal) -> dict[str, float]:
     return {name: need.counted for name, need in proposal.shifted.items()}
+
+
+@pytest.mark.parametrize("communication", [0.5, 1e3, 1e6])
+def test_no_weight_of_communication_lets_cpu_be_short(
+    robot: Robot, communication: float
+) -> None:
+    heavy = replace(robot, objective=Objective(communication=communication))
+    needs = standing("eye", 0.5, drift=True), standing("mind", 0.3, drift=True)
+    situation = Situation(robot=heavy, placement=NOW, demand_estimates=needs)
+    decision = decide(situation)
+    assert decision.acts
+    assert decision.gain == pytest.approx(0.249075)
+    assert propose(situation).then.shortage == 0.0

@@ -196,7 +196,7 @@ def _change(proposal: Proposal, gain: float, cost: float) -> str:
 
 def _why_not(situation: Situation, causes: str, costs: Mapping[str, float]) -> str:
     """Return whether any placement would help if moves cost nothing, for people."""
-    free = propose(situation, is_quick=True)
+    free = propose(situation, price=plan.PRICE, is_quick=True)
     gain = (free.now.shortage - free.then.shortage) / plan.PRICE
     if gain <= _LEAST:
         return f"no placement can help: {causes}{late(situation)}{_room(situation)}"

@@ -182,7 +182,7 @@ def propose(
     move: float = 0.0,
     *,
     costs: Mapping[str, float] | None = None,
-    price: float = plan.PRICE,
+    price: float | None = None,
     fewer: bool = False,
     is_quick: bool = False,
 ) -> Proposal:
@@ -191,7 +191,7 @@ def propose(
     `move`: what F grows by for every component that moves, plus as much for each MB of
     its state; >= 0.
     `costs`: component -> what F grows by when it moves, instead of `move`.
-    `price`: what F grows by for each core that is short, of the lowest priority.
+    `price`: as in `share_what_is_left`.
     `fewer`: whether architectures are suspended by priority until no CPU is short.
     `is_quick`: whether the robot waits: then why nothing fits is not looked for.
     Raises RobotError: the task fits nowhere with these demands, or there is no way to
@@ -206,7 +206,7 @@ def propose(
     # Of alternative architectures only one runs: keep to it.
     problem = plan.keep_components(problem, now.keys())
     left = replace(problem, computers=situation.computers_left())
-    problem = with_time_limits(problem, situation, price)
+    problem = with_time_limits(problem, situation, price or plan.PRICE)
     if not fewer:
         problem = share_what_is_left(problem, situation, price)
     planner = plan.Planner(problem)
@@ -240,12 +240,16 @@ def explain(result: plan.Result) -> None:
 
 
 def share_what_is_left(
-    problem: plan.Problem, situation: Situation, price: float
+    problem: plan.Problem, situation: Situation, price: float | None
 ) -> plan.Problem:
     """Return the problem with the CPU that other programs leave, shared by priority.
 
-    `price`: what F grows by for each core that is short, of the lowest priority.
+    `price`: what F grows by for each core that is short, of the lowest priority, where
+    the robot's weights are such that other terms come to 1; None: far more than by all
+    other terms.
     """
+    if price is not None:
+        problem = plan.with_small_terms(problem)
     late = {timer.computer for timer in situation.misses if timer.late}
     rooms = {c.name: _room(c, situation.loads.get(c.name)) for c in problem.computers}
     limits = {

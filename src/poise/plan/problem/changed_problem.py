@@ -284,6 +284,21 @@ def share_cpu(
     return replace(problem, soft_limits=(*others, *work, *left))
 
 
+def with_small_terms(problem: Problem) -> Problem:
+    """Return the problem with weights such that F comes to about 1 at most.
+
+    A price of something else then means the same for all robots.
+    """
+    others, weights = _others(problem), problem.objective
+    smaller = replace(
+        weights,
+        communication=weights.communication / others,
+        balance=weights.balance / others,
+        quality=weights.quality / others,
+    )
+    return replace(problem, objective=smaller)
+
+
 def _others(problem: Problem) -> float:
     """Return about what a term of F comes to at most, beside CPU; at least 1."""
     arrays = arrays_of(problem)
