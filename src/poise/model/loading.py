@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from os.path import realpath
 from pathlib import Path
 
@@ -101,7 +101,9 @@ def load_source(
     wrong = [positions.problem(finding) for finding in check_ros2(robot)]
     robot = robot if wrong else with_ros2(robot)
     problems += wrong
-    problems += [positions.problem(finding) for finding in check(robot, repository)]
+    broken = positions.broken("policies", problems)
+    findings = check(robot, repository, broken)
+    problems += [positions.problem(finding) for finding in findings]
     if problems:
         raise RobotError(problems=sorted(problems))
     folders = tuple(str(Path(folder).resolve()) for folder in robot.repository)
@@ -122,8 +124,13 @@ def _too_old(root: Node) -> FileProblem | None:
     return node.place.problem(f"poise: {why}") if why else None
 
 
-def check(robot: Robot, repository: Repository) -> Iterator[Finding]:
-    """Yield every problem of `robot` that shows without its code."""
+def check(
+    robot: Robot, repository: Repository, broken: Collection[str]
+) -> Iterator[Finding]:
+    """Yield every problem of `robot` that shows without its code.
+
+    `broken`: the policies with a wrong value.
+    """
     yield from check_names(robot)
     yield from check_addresses(robot)
     yield from check_voting(robot)
@@ -135,7 +142,7 @@ def check(robot: Robot, repository: Repository) -> Iterator[Finding]:
     yield from check_chains(robot)
     yield from check_ports(robot, declared_ports(robot))
     yield from check_workload(robot)
-    yield from check_policies(robot)
+    yield from check_policies(robot, broken)
     yield from check_tasks(robot, repository)
     yield from check_ends(robot, declared_ports(robot))
 

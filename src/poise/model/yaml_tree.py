@@ -9,7 +9,7 @@ from __future__ import annotations
 import pathlib
 import re
 import stat
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Protocol
 
 import yaml
@@ -315,6 +315,15 @@ class Positions:
         return min(
             (self._places[path] for path in below), key=lambda p: (p.line, p.column)
         )
+
+    def broken(self, section: str, problems: Iterable[FileProblem]) -> set[str]:
+        """Return the entries of a section in which there are problems."""
+        places = {Location(each.file, each.line, each.column) for each in problems}
+        return {
+            str(path[1])
+            for path, place in self._places.items()
+            if path[:1] == (section,) and len(path) > 1 and place in places
+        }
 
     def problem(self, finding: Finding) -> FileProblem:
         """Return the finding with its location in the file."""

@@ -25,14 +25,20 @@ def test_an_unknown_name_is_found(refuse: Refuse) -> None:
     refuse(ROBOT + text, "'lefd' is none of 'left' (did you mean 'left'?)")
 
 
-def test_an_unknown_subject_is_found(find: Find) -> None:
-    problems = find(ROBOT + "mine: {for each: componet, when: lost, do: notify}")
-    assert "did you mean 'component'?" in str(problems)
+def test_an_unknown_subject_is_found(refuse: Refuse) -> None:
+    text = "mine: {▸for each: componet, when: lost, do: notify}"
+    refuse(ROBOT + text, "did you mean 'component'?")
 
 
-def test_an_unknown_action_is_found(find: Find) -> None:
-    problems = find(ROBOT + "mine: {for each: computer, when: lost, do: notfy}")
-    assert "did you mean 'notify'?" in str(problems)
+def test_an_unknown_action_is_found(refuse: Refuse) -> None:
+    text = "mine: {for each: computer, when: lost, ▸do: notfy}"
+    refuse(ROBOT + text, "did you mean 'notify'?")
+
+
+def test_what_is_wrong_is_not_said_to_be_missing(refuse: Refuse) -> None:
+    move = "mine: {for each: component, when: cpu > 1, do: move, ▸to: my left}"
+    refuse(ROBOT + move, "'my left' is not allowed; write a letter")
+    refuse(ROBOT + "mine: {▸call: policy}", "'policy' is not allowed")
 
 
 def test_an_action_for_another_subject_is_found(refuse: Refuse) -> None:

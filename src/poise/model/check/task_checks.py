@@ -17,8 +17,11 @@ from poise.model.steps import Action, Repeat, Subtask, Task, Until, walk
 from poise.model.yaml_tree import Finding, Path
 
 
-def check_policies(robot: Robot) -> Iterator[Finding]:
-    """Yield what is wrong with the policies of a robot."""
+def check_policies(robot: Robot, broken: Collection[str]) -> Iterator[Finding]:
+    """Yield what is wrong with the policies of a robot.
+
+    `broken`: those with a wrong value, which they lack here though it is written.
+    """
     known = {policy.name for policy in shipped()}
     written = {policy.name for policy in robot.policies}
     for policy in policies_of(robot.policies):
@@ -35,13 +38,13 @@ def check_policies(robot: Robot) -> Iterator[Finding]:
         elif policy.call:
             yield from _own_function(policy)
         else:
-            yield from _one(robot, policy)
+            yield from _one(robot, policy, is_broken=policy.name in broken)
 
 
-def _one(robot: Robot, policy: Policy) -> Iterator[Finding]:
+def _one(robot: Robot, policy: Policy, *, is_broken: bool) -> Iterator[Finding]:
     keys = {"for each": policy.for_each, "when": policy.when, "do": policy.do}
     missing = [key for key, value in keys.items() if value is None]
-    if missing:
+    if missing and not is_broken:
         yield _finding(policy, "", f"a policy of your own needs {listed(missing)}")
     if policy.for_each is None or policy.when is None:
         return
@@ -58,6 +61,8 @@ def _one(robot: Robot, policy: Policy) -> Iterator[Finding]:
         of = listed(ACTIONS[policy.do])
         text = f"'{policy.do}' is done for each {of}, not for each '{policy.for_each}'"
         yield _finding(policy, "do", text)
+    if policy.do == "move" and policy.to is None and not is_broken:
+        yield _finding(policy, "do", "'move' needs 'to', a computer")
     yield from _targets(robot, policy)
 
 
@@ -77,8 +82,6 @@ def _own_function(policy: Policy) -> Iterator[Finding]:
 def _targets(robot: Robot, policy: Policy) -> Iterator[Finding]:
     computers = [computer.name for computer in robot.computers]
     names = [architecture.name for architecture in robot.architectures]
-    if policy.do == "move" and policy.to is None:
-        yield _finding(policy, "do", "'move' needs 'to', a computer")
     if policy.to is not None and policy.to not in computers:
         yield _finding(policy, "to", unknown("computer", policy.to, computers))
     for key, do in (("to", "move"), ("by", "replace")):
