@@ -81,7 +81,10 @@ Resource = Annotated[
 ]
 PortName = Annotated[str, note(pattern=r"^\w{1,63}$")]
 _CLASS = "package.module:Class"
-Reference = Annotated[str, _text(r"\w+(\.\w+)*:\w+(\.\w+)*", _CLASS, _CLASS)]
+_FUNCTION = "package.module:function"
+_REFERENCE = r"\w+(\.\w+)*:\w+(\.\w+)*"
+Reference = Annotated[str, _text(_REFERENCE, _CLASS, _CLASS)]
+FunctionReference = Annotated[str, _text(_REFERENCE, _FUNCTION, _FUNCTION)]
 EndText = Annotated[
     str,
     _text(

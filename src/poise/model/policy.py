@@ -19,9 +19,9 @@ from poise.model.file_keys import (
     Bandwidth,
     Bytes,
     Cores,
+    FunctionReference,
     Name,
     Rate,
-    Reference,
     Seconds,
     Share,
     says,
@@ -262,7 +262,7 @@ class Policy(Struct, frozen=True, kw_only=True):
         bool, says("Whether a move breaks limits, and a replacement drops the state.")
     ] = False
     call: Annotated[
-        Reference | None,
+        FunctionReference | None,
         says(
             "package.module:function that returns what is to be done, instead of a "
             "condition."

@@ -17,10 +17,10 @@ from poise.model.file_keys import (
     COMMAND,
     Amount,
     Bytes,
+    FunctionReference,
     Name,
     PortKind,
     Rate,
-    Reference,
     Seconds,
     Share,
     by_name,
@@ -142,7 +142,7 @@ class Generated(Struct, frozen=True, kw_only=True):
         Share, says("Sizes vary evenly within this share of the mean: 20%.", lt=1)
     ] = 0.0
     message: Annotated[
-        Reference,
+        FunctionReference,
         says(
             "package.module:function that makes a message of a random.Random and a "
             "size [bytes]; without it, its fields are filled at random.",

@@ -38,7 +38,7 @@ def test_an_unknown_action_is_found(refuse: Refuse) -> None:
 def test_what_is_wrong_is_not_said_to_be_missing(refuse: Refuse) -> None:
     move = "mine: {for each: component, when: cpu > 1, do: move, ▸to: my left}"
     refuse(ROBOT + move, "'my left' is not allowed; write a letter")
-    refuse(ROBOT + "mine: {▸call: policy}", "'policy' is not allowed")
+    refuse(ROBOT + "mine: {▸call: policy}", "write package.module:function")
 
 
 def test_an_action_for_another_subject_is_found(refuse: Refuse) -> None:
