@@ -424,12 +424,16 @@ def _placement(live: LiveRobot, old: Architecture, new: Architecture) -> dict[st
     goes = {c.name for c in old.components}
     comes = [c.name for c in new.components]
     problem = plan.keep_components(plan.problem_of(live.robot), {*live.placed, *comes})
+    away = live.agents.out_of_reach()
+    names = tuple(c.name for c in problem.computers)
     components = []
     for component in problem.components:
-        pinned = component
         if component.name in live.placed:
-            here = live.placed[component.name].computer
-            pinned = structs.replace(component, only=(here,))
+            only = (live.placed[component.name].computer,)
+        else:  # where none is in reach, all are named
+            allowed = component.only or names
+            only = tuple(at for at in allowed if at not in away) or allowed
+        pinned = structs.replace(component, only=only)
         if component.name in goes:
             demand = {r: n for r, n in component.demand.items() if r != "cpu"}
             pinned = structs.replace(pinned, demand=demand)
