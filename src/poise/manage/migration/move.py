@@ -428,11 +428,10 @@ def _placement(live: LiveRobot, old: Architecture, new: Architecture) -> dict[st
     names = tuple(c.name for c in problem.computers)
     components = []
     for component in problem.components:
+        allowed = component.only or names
+        only = tuple(at for at in allowed if at not in away) or allowed
         if component.name in live.placed:
             only = (live.placed[component.name].computer,)
-        else:  # where none is in reach, all are named
-            allowed = component.only or names
-            only = tuple(at for at in allowed if at not in away) or allowed
         pinned = structs.replace(component, only=only)
         if component.name in goes:
             demand = {r: n for r, n in component.demand.items() if r != "cpu"}
