@@ -117,11 +117,19 @@ def test_binds_arguments_however_they_are_given() -> None:
 
 
 @pytest.mark.parametrize(
-    ("period", "deadline"), [(0, None), (-1, None), (float("nan"), None), (1, 0)]
+    ("given", "why"),
+    [
+        ({"period": 0}, "every(0): period must"),
+        ({"period": -1}, "every(-1): period must"),
+        ({"period": math.nan}, "every(nan): period must"),
+        ({"hz": 0}, "every(hz=0): hz must"),
+        ({"period": 1, "deadline": 0}, "every(1, deadline=0): deadline must"),
+    ],
 )
-def test_a_timer_needs_times_above_zero(period: float, deadline: float | None) -> None:
-    with pytest.raises(UsageError, match="all must be above 0"):
-        every(period, deadline=deadline)
+def test_a_timer_needs_times_above_zero(given: dict[str, float], why: str) -> None:
+    """What was not given was said to be None, and to be above 0."""
+    with pytest.raises(UsageError, match=f"^{re.escape(why)} be above 0$"):
+        every(**given)
 
 
 @pytest.mark.parametrize(

@@ -271,17 +271,19 @@ def every(
             raise UsageError(
                 f"@every takes seconds as a number, as in @every(0.1), not {given!r}"
             )
+    times = {"period": period, "hz": hz, "deadline": deadline}
+    values = {name: time for name, time in times.items() if time is not None}
+    words = ", ".join(f"{name}={time}" for name, time in values.items())
+    call = f"every({words.removeprefix('period=')})"
     if (period is None) == (hz is None):
-        raise UsageError(
-            f"every({period}, hz={hz}): give either, as in @every(0.1) or every(hz=10)"
-        )
-    if any(given is not None and not given > 0 for given in (period, hz, deadline)):
-        text = f"every({period}, hz={hz}, deadline={deadline}): all must be above 0"
-        raise UsageError(text)
+        raise UsageError(f"{call}: give either, as in @every(0.1) or every(hz=10)")
+    for name, time in values.items():
+        if not time > 0:
+            raise UsageError(f"{call}: {name} must be above 0")
     seconds = 1 / hz if period is None and hz is not None else period
     if seconds is not None and not _SHORTEST <= seconds <= _LONGEST:
-        text = f"every({period}, hz={hz}): the period must be from {_SHORTEST:g} to "
-        raise UsageError(f"{text}{_LONGEST:g} s")
+        text = f"the period must be from {_SHORTEST:g} to {_LONGEST:g} s"
+        raise UsageError(f"{call}: {text}")
 
     def mark(method: F) -> F:
         method.__poise_timer__ = (seconds, deadline)  # type: ignore[attr-defined]
