@@ -6,10 +6,13 @@ All on a virtual clock, over links that a test cuts. Each side reads a clock of 
 from __future__ import annotations
 
 import random
+from collections.abc import Mapping
 from math import inf
 
 import pytest
 
+from poise.clock import time_asleep
+from poise.manage.agent_connections import reachability
 from poise.manage.agent_connections.reachability import Reachability
 from poise.runtime.agent.fence import Lease
 from poise.wire.heartbeats import EVERY, LEASE, SURELY_ENDED, UNHEARD_AFTER, Contacts
@@ -18,23 +21,25 @@ from poise.wire.records.heartbeat_records import MANAGER, Heartbeat
 AGENTS = ("left", "right", "third")
 AHEAD = {MANAGER: 0.0, "left": 1e3, "right": -70.0, "third": 5e5}
 """How far each clock is ahead of the test's [s]."""
-MINE, ANOTHER = "the manager", "another manager"
+MINE, ANOTHER = f"key of {MANAGER}", "another manager"
+VOTES = dict.fromkeys(AGENTS, 1)
 STEP = 0.025
 DELAY = 0.01
 JITTER = 0.06
 
 
 class World:
-    """A manager and agents that exchange heartbeats."""
+    """A manager and agents that exchange heartbeats, and may vote for managers."""
 
-    def __init__(self) -> None:
+    def __init__(self, votes: Mapping[str, int] = {}) -> None:
         self.now = 0.0
         self.contacts = {n: Contacts("robot", n, f"key of {n}") for n in AHEAD}
         self.obeys = dict.fromkeys(AGENTS, MINE)
         self.leases = {name: Lease(self.contacts[name]) for name in AGENTS}
         for name, lease in self.leases.items():
-            lease.begin([other for other in AGENTS if other != name], MINE)
-        self.manager = Reachability(self.contacts[MANAGER], SURELY_ENDED)
+            others = [other for other in AGENTS if other != name]
+            lease.begin(others, MINE, votes=votes)
+        self.manager = Reachability(self.contacts[MANAGER], SURELY_ENDED, votes)
         self.cut: set[tuple[str, str]] = set()
         self.stalled: set[str] = set()
         self.jitter = 0.0
@@ -74,7 +79,10 @@ class World:
         at = self.now + AHEAD[name]
         if name == MANAGER:
             self.manager.measure(AGENTS, at)
-        managed = 0.0 if name == MANAGER else self.leases[name].managed(at)
+            ago = at - self.manager.confirmed_at(at)
+            managed = ago if ago < inf else None
+        else:
+            managed = self.leases[name].managed(at)
         manager = self.obeys.get(name, "")
         beat = self.contacts[name].next_beat(at, managed=managed, manager=manager)
         arrives = self.now + DELAY + self.jitter * self._chance.random()
@@ -262,6 +270,90 @@ def test_one_lost_datagram_in_three_is_no_loss_of_a_computer() -> None:
         world.cut = {pair for pair in others if chance.random() < 0.1}
         world.step()
         assert not world.lost()
+
+
+@pytest.fixture
+def voting() -> World:
+    world = World(VOTES)
+    world.run(1.0)
+    return world
+
+
+def test_a_manager_leads_while_a_majority_obeys_it(voting: World) -> None:
+    voting.isolate("left")
+    voting.run(SURELY_ENDED + 2 * EVERY)
+    assert voting.manager.unconfirmed == 0.0
+    assert voting.have_leases_ended("left")
+    voting.obeys["right"] = ANOTHER
+    voting.run(1.0)
+    assert voting.manager.unconfirmed == pytest.approx(1.0, abs=2 * EVERY)
+    assert not voting.have_leases_ended("left")  # another may have started it
+    voting.obeys["right"] = MINE
+    voting.run(2 * EVERY)
+    assert voting.manager.unconfirmed == 0.0
+    assert voting.have_leases_ended("left")
+
+
+def test_a_manager_that_a_majority_does_not_hear_leads_for_as_long_as_leases_last(
+    voting: World,
+) -> None:
+    voting.isolate("left")
+    voting.run(2 * SURELY_ENDED)
+    voting.isolate(MANAGER)
+    voting.run(LEASE - 2 * EVERY)
+    assert voting.manager.unconfirmed == 0.0
+    assert voting.have_leases_ended("left")
+    voting.run(1.0)
+    assert voting.manager.unconfirmed == pytest.approx(1.0 - 2 * EVERY, abs=2 * EVERY)
+    assert not voting.have_leases_ended("left")
+
+
+def test_a_manager_whose_computer_slept_leads_once_a_majority_has_heard_it_anew(
+    voting: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No clock ran meanwhile, and another manager may have been voted for."""
+    asleep = time_asleep() + 60.0
+    monkeypatch.setattr(reachability, "time_asleep", lambda: asleep)
+    assert voting.manager.confirmed_at(voting.now) > voting.now - LEASE
+    voting.manager.measure(AGENTS, voting.now)
+    assert voting.manager.confirmed_at(voting.now) == -inf
+    voting.run(3 * EVERY)
+    assert voting.manager.confirmed_at(voting.now) > voting.now - LEASE
+
+
+def test_an_agent_that_votes_goes_on_while_a_majority_obeys_its_manager(
+    voting: World,
+) -> None:
+    voting.isolate(MANAGER)
+    voting.isolate("third")
+    voting.run(SURELY_ENDED)
+    assert [voting.is_held(name) for name in AGENTS] == [True, True, False]
+    voting.obeys["right"] = ANOTHER
+    voting.run(SURELY_ENDED)
+    assert not voting.is_held("left")
+
+
+def test_a_lease_that_ended_while_its_computer_slept_is_extended_only_anew(
+    voting: World,
+) -> None:
+    voting.leases["left"].end(voting.now + AHEAD["left"])
+    assert not voting.is_held("left")
+    voting.run(3 * EVERY)
+    assert voting.is_held("left")
+
+
+@pytest.mark.parametrize("teller", [MANAGER, "right"])
+def test_a_token_is_revoked_by_whoever_tells_of_it(teller: str) -> None:
+    contacts = Contacts("robot", "left", "key")
+    lease = Lease(contacts)
+    lease.begin(["right"], MINE)
+    assert not lease.is_revoked("left", 5)
+    told = Contacts("robot", teller, "key").next_beat(1.0, revoked={"left": 5})
+    contacts.note(told, 1.0)
+    assert lease.is_revoked("left", 5)
+    assert lease.is_revoked("left", 6)  # as an agent that was cut off counts on
+    assert not lease.is_revoked("left", 7)
+    assert not lease.is_revoked("right", 0)
 
 
 @pytest.mark.parametrize("jitter", [0.0, JITTER])
