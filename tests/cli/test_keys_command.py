@@ -87,6 +87,14 @@ def test_keys_that_end_with_their_authority_say_what_to_do(tmp_path: Path) -> No
     assert "the authority ends then, too: `poise keys rotate hello`" in done.stdout
 
 
+def test_the_old_authority_is_said_to_be_accepted_until_it_is_forgotten() -> None:
+    """After two of three steps, lost keys seemed locked out, and were not."""
+    said = [run_poise("keys", "rotate", "hello").stdout for _ in range(3)]
+    assert "is known; it signs after the next `rotate`" in said[0]
+    assert "what the one before signed is accepted until the next" in said[1]
+    assert "any before the present one is forgotten" in said[2]
+
+
 def test_damaged_keys_do_not_hide_the_others(data: Path) -> None:
     (data / "damaged").mkdir()
     done = run_poise("keys", "list", "--json")

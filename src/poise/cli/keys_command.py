@@ -120,9 +120,8 @@ def issue_command(
 def rotate_command(robot: RobotName, folder: Folder = None) -> None:
     """Take the next step from the robot's authority to another one.
 
-    Two steps, with new keys for all after each: the first makes the next authority
-    known, the second lets it sign. What is not issued again is locked out by the step
-    after.
+    Three steps, with new keys for all after each: the first makes the next authority
+    known, the second lets it sign, the third forgets the old one and what it signed.
 
     Examples
     --------
@@ -131,7 +130,12 @@ def rotate_command(robot: RobotName, folder: Folder = None) -> None:
     authority = authority_of(robot, folder)
     signs = authority.rotate()
     authority.issue("owner", "manager", authority.folder)
-    what = "signs now" if signs else "is known; it signs after the next `rotate`"
+    what = (
+        "signs now; what the one before signed is accepted until the next `rotate`"
+        if signs
+        else "is known; it signs after the next `rotate`, and any before the present "
+        "one is forgotten"
+    )
     typer.echo(f"robot '{robot}': the next authority {what}")
     typer.echo(f"next: `poise keys issue {robot} ...` for all, and copy their folders")
 

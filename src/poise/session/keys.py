@@ -98,9 +98,9 @@ class Authority(Struct, frozen=True):
     def rotate(self) -> bool:
         """Take the next step towards another authority; return whether it signs now.
 
-        The first step makes the next authority known, the second lets it sign: issue
-        all keys again after each. What was before the present one is not trusted any
-        more.
+        The first step makes the next authority known, the second lets it sign, the
+        third, which is the first towards one more, forgets the old one: issue all keys
+        again after each.
         """
         owner = self.folder / _OWNER
         try:
