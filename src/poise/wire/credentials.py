@@ -87,7 +87,19 @@ class Credentials:
 
     def leading(self) -> Credentials:
         """Return the keys in `to_lead`; UsageError or RunError: they are no good."""
-        return Credentials(self.to_lead).check(self.robot, "manager")
+        leading = Credentials(self.to_lead).check(self.robot, "manager")
+        if not (self._trusts(leading) and leading._trusts(self)):  # noqa: SLF001
+            raise UsageError(
+                f"the keys in {self.to_lead} and {self.folder} are of two authorities: "
+                "`poise keys issue --leads` makes both anew"
+            )
+        return leading
+
+    def _trusts(self, other: Credentials) -> bool:
+        """Return whether it knows the authority that signed another one's keys."""
+        known = (other.folder / AUTHORITY).read_bytes()
+        signer = known.partition(ssl.PEM_FOOTER.encode())[0]
+        return signer in (self.folder / AUTHORITY).read_bytes()
 
     @property
     def robot(self) -> str:
