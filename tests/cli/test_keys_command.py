@@ -67,6 +67,18 @@ def test_no_agent_starts_with_the_keys_of_another_computer(tmp_path: Path) -> No
         keys_for(*its, right, is_insecure=False)
 
 
+def test_keys_to_lead_with_are_listed_and_renewed(tmp_path: Path) -> None:
+    """They ended, as `issue` renewed the computer's own alone, and `list` was content."""
+    asked = ("keys", "issue", "hello", "left", "--out", tmp_path)
+    run_poise(*asked, "--leads", "--days", "5")
+    listed = ("keys", "list", "--folder", tmp_path / "left")
+    done = run_poise(*listed)
+    assert done.returncode == 1
+    assert "the certificate of manager left ends in 5.0 days" in done.stderr
+    assert "agent left, also to lead the robot, until" in run_poise(*asked).stdout
+    assert run_poise(*listed).returncode == 0
+
+
 def test_a_folder_that_is_not_there_has_no_keys(tmp_path: Path) -> None:
     done = run_poise("keys", "list", "--folder", tmp_path / "nowhere")
     assert done.returncode == 2

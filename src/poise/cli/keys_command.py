@@ -71,7 +71,8 @@ def issue_command(
     leads: Annotated[
         bool,
         typer.Option(
-            "--leads", help="These computers may lead the robot (`manager:`)."
+            "--leads",
+            help="These computers may lead the robot (`manager:`); kept when renewed.",
         ),
     ] = False,
     folder: Folder = None,
@@ -100,9 +101,12 @@ def issue_command(
     authority = authority_of(robot, folder)
     for name in names:
         issued = authority.issue(name, of_role, out / name, days=days)
-        if leads:
+        may_lead = leads or (of_role == "agent" and issued.to_lead.is_dir())
+        if may_lead:
             authority.issue(name, "manager", issued.to_lead, days=days)
-        typer.echo(f"{issued.folder}: {issued.name}, until {minute(issued.expires)}")
+        also = ", also to lead the robot" if may_lead else ""
+        until = minute(issued.expires)
+        typer.echo(f"{issued.folder}: {issued.name}{also}, until {until}")
     if issued.expires >= authority.ends.timestamp():
         typer.echo(
             f"the authority ends then, too: `poise keys rotate {robot}` makes another"
@@ -159,6 +163,8 @@ def list_command(
         raise UsageError(f"--folder {folder}: there is no such folder")
     places = [folder] if folder else _folders(robot)
     found = [_keys_in(place) for place in places if place.is_dir()]
+    to_lead = [keys.to_lead for keys in found if isinstance(keys, Credentials)]
+    found += [_keys_in(place) for place in to_lead if place.is_dir()]
     credentials = [keys for keys in found if isinstance(keys, Credentials)]
     if robot is not None and not found:
         where = " or ".join(map(str, places))
