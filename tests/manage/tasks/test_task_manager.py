@@ -37,7 +37,7 @@ from poise.model.robot import (
     Robot,
     Task,
 )
-from poise.model.steps import Choice, Parallel, Retry, Sequence, Step
+from poise.model.steps import Choice, Parallel, Retry, Sequence, Step, Until
 from poise.wire.records.status_records import (
     ActionEnd,
     AgentStatus,
@@ -464,6 +464,21 @@ def test_what_takes_long_to_be_configured_holds_nothing_else_up(
     assert "it cannot begin: not ready within -1 s: component 'goer'" in why
 
 
+def test_what_is_configured_for_a_task_that_is_cancelled_ends_and_no_other() -> None:
+    tasks = task("t", act("a", "see")), task("u", act("b", "go"))
+    rig = Rig(robot_with(*tasks))
+    for name in ("seeer", "goer"):
+        rig.agents.states[name] = ComponentStatus(name=name, state="unconfigured")
+    for each in tasks:
+        rig.manager.command("start", each.name)
+    rig.manager.command("cancel", "t")
+    assert [e.component for e in rig.run.desired.configured_ahead] == ["goer"]
+    assert not rig.manager.is_over()
+    rig.manager.command("cancel", "u")
+    assert not rig.run.desired.configured_ahead
+    assert rig.manager.is_over()
+
+
 def test_what_fails_as_its_action_ends_is_no_failure_of_the_next_one() -> None:
     rig = Rig(robot_with(task("t", act("a", "see"), act("b", "go"))), "t")
     rig.agents.states["seeer"] = ComponentStatus(
@@ -521,6 +536,28 @@ def test_what_does_not_start_is_tried_once_a_look() -> None:
     assert rig.states()["t"][0] == "failed"
 
 
+@pytest.mark.parametrize(
+    ("name", "then"), [("main", "seeer"), ("spare", "goer"), ("", "goer")]
+)
+def test_a_condition_ends_an_action_where_its_subject_or_any_is_so(
+    name: str, then: str
+) -> None:
+    """All that runs is on the one computer, nothing on the other."""
+    until = Until(when="components == 0", subject="computer", name=name)
+    rig = Rig(robot_with(task("t", act("a", "see", until=until), act("b", "go"))), "t")
+    rig.manager.advance()
+    assert rig.active() == {then}
+
+
+def test_what_never_stops_is_needed_beside_all_actions() -> None:
+    robot = robot_with(task("t", act("a", "see")))
+    fixed = replace(robot.architectures[1], layer="reactive")
+    rig = Rig(replace(robot, architectures=(*robot.architectures[:1], fixed)), "t")
+    assert replace(robot, tasks=rig.manager.now()).functions_of() == ("see",)
+    rig.run.commit(rig.run.desired.placing([rig.run.begun("goer", "main")]), "a test")
+    assert replace(robot, tasks=rig.manager.now()).functions_of() == ("see", "go")
+
+
 def test_what_is_done_on_failure_is_not_needed_before() -> None:
     robot = robot_with(task("t", act("a", "see", on_failure=act("b", "go"))))
     rig = Rig(robot, "t")
@@ -539,6 +576,16 @@ def test_what_rests_gives_way_when_its_memory_is_needed() -> None:
     rig.end("goer")
     assert (rig.active(), rig.resting()) == ({"sayer"}, {"goer"})
     assert "there is not enough memory to keep seeer idle" in rig.said()
+
+
+@pytest.mark.parametrize(("memory", "resting"), [(8e8, set()), (9e8, {"seeer"})])
+def test_what_ends_rests_where_memory_is_left_beside_what_is_at_work(
+    memory: float, resting: set[str]
+) -> None:
+    tasks = task("t", act("a", "see"), act("b", "go")), task("u", act("c", "say"))
+    rig = Rig(robot_with(*tasks, cpu=2.0, memory=memory), "t", "u")
+    rig.end("seeer")
+    assert (rig.active(), rig.resting()) == ({"goer", "sayer"}, resting)
 
 
 def test_a_paused_task_rests_and_keeps_its_state() -> None:
@@ -793,15 +840,18 @@ def test_what_a_choice_will_be_is_found_out_once_until_something_is_learned(
 
     monkeypatch.setattr(success_rates, "outcomes_of", outcomes)
     choice = Choice(steps=(act("b", "go"), act("c", "say")))
-    steps = act("a", "see"), choice
-    robot = replace(robot_with(task("t", *steps)), folder=str(tmp_path))
-    rig = Rig(robot, "t")
+    tasks = task("t", act("a", "see"), choice), task("u", act("d", "say"))
+    robot = replace(robot_with(*tasks), folder=str(tmp_path))
+    rig = Rig(robot, "t", "u")
     for _ in range(3):
-        rig.manager.likely_next()
+        rig.manager.advance()
     assert asked == ["go", "say"]
+    rig.end("sayer")
+    rig.manager.advance()
+    assert asked == 2 * ["go", "say"]
     rig.end("seeer")
     assert rig.active() == {"goer"}
-    assert asked == 2 * ["go", "say"]
+    assert asked == 3 * ["go", "say"]
 
 
 @pytest.mark.parametrize("verb", ["pause", "resume", "cancel"])

@@ -1,0 +1,134 @@
+"""From some components to others: what begins, what it waits for, and what stays."""
+
+from __future__ import annotations
+
+from math import inf
+from typing import cast
+
+import pytest
+
+from poise.clock import boot_time
+from poise.manage.agent_connections.agents import Agents
+from poise.manage.deploy.live_robot import DoesNotStart, LiveRobot
+from poise.manage.journal import Journal
+from poise.manage.tasks.switch import LaterError, SlowStarts, prepare, switch
+from poise.model.robot import Robot
+from poise.wire.records.status_records import ComponentStatus, Fault
+from tests.manage.conftest import FakeAgents
+
+
+@pytest.fixture
+def agents() -> FakeAgents:
+    return FakeAgents("left", "right")
+
+
+@pytest.fixture
+def live(robot: Robot, agents: FakeAgents) -> LiveRobot:
+    live = LiveRobot(
+        robot, {"grabber": "left"}, cast("Agents", agents), Journal(":memory:"), "/run"
+    )
+    live.start()
+    live.goes_on_without_lost = True
+    return live
+
+
+def begin_slowly(live: LiveRobot, agents: FakeAgents) -> None:
+    """Begin the thinker, which is not configured in time."""
+    agents.states["thinker"] = ComponentStatus(name="thinker", state="unconfigured")
+    with pytest.raises(LaterError):
+        switch(live, (), {"thinker": "right"})
+
+
+def test_what_is_at_work_out_of_reach_has_no_lease_when_it_begins_elsewhere(
+    live: LiveRobot, agents: FakeAgents
+) -> None:
+    switch(live, (), {"thinker": "right"})
+    agents.gone.add("right")
+    live.commit(live.desired.without(["thinker"]), "a test")
+    switch(live, (), {"thinker": "left"})
+    assert agents.revoked == ["right"]
+
+
+def test_what_is_prepared_begins_as_it_is_there_and_anew_elsewhere(
+    live: LiveRobot,
+) -> None:
+    prepare(live, {"thinker": "right"}, {})
+    prepared = live.prefetched["thinker"]
+    assert switch(live, (), {"thinker": "right"})
+    assert live.placed["thinker"].key == prepared.key
+    switch(live, ["thinker"], {})
+    assert not switch(live, (), {"thinker": "left"})
+    assert live.placed["thinker"].computer == "left"
+    assert live.placed["thinker"].epoch > prepared.epoch
+
+
+def test_only_where_all_was_prepared_a_switch_was_prepared(live: LiveRobot) -> None:
+    prepare(live, {"thinker": "right"}, {})
+    assert not switch(live, (), {"thinker": "right", "filter": "right"})
+
+
+def test_what_cannot_begin_is_to_run_no_more(
+    live: LiveRobot, agents: FakeAgents
+) -> None:
+    agents.states["thinker"] = ComponentStatus(name="thinker", state="failed")
+    with pytest.raises(DoesNotStart, match="'thinker'"):
+        switch(live, ["grabber"], {"thinker": "right"})
+    assert not live.desired.coming
+    assert not agents.statuses()["right"].containers
+
+
+def test_what_takes_long_and_fails_meanwhile_does_not_start(
+    live: LiveRobot, agents: FakeAgents
+) -> None:
+    slow = SlowStarts(live)
+    begin_slowly(live, agents)
+    slow.note(["thinker"], boot_time(), 0.0)
+    assert slow.ready({"thinker": "right"}) == {}
+    (ahead,) = live.desired.configured_ahead
+    agents.report_component(
+        "right", ComponentStatus(name="thinker", epoch=ahead.epoch, state="failed")
+    )
+    with pytest.raises(DoesNotStart, match="'thinker'"):
+        slow.ready({"thinker": "right"})
+
+
+def test_what_takes_long_and_crashes_again_and_again_does_not_start(
+    live: LiveRobot, agents: FakeAgents
+) -> None:
+    slow = SlowStarts(live)
+    begin_slowly(live, agents)
+    before = [Fault(container="mind", message="crashed", number=n) for n in range(1, 6)]
+    agents.note_faults(*before)
+    slow.note(["thinker"], boot_time(), 0.0)
+    assert slow.ready({"thinker": "right"}) == {}
+    new = [Fault(container="mind", message="crashed", number=n) for n in range(6, 11)]
+    agents.note_faults(*before, *new)
+    with pytest.raises(DoesNotStart, match="container 'mind' on 'right' crashed"):
+        slow.ready({"thinker": "right"})
+
+
+def test_what_takes_long_begins_no_sooner_than_noted(
+    live: LiveRobot, agents: FakeAgents
+) -> None:
+    slow = SlowStarts(live)
+    begin_slowly(live, agents)
+    (ahead,) = live.desired.configured_ahead
+    ready = ComponentStatus(name="thinker", epoch=ahead.epoch, state="inactive")
+    agents.report_component("right", ready)
+    slow.note(["thinker"], boot_time(), 60.0)
+    assert not slow.is_due()
+    slow.note(["thinker"], boot_time(), 0.0)
+    assert slow.is_due()
+
+
+def test_what_takes_long_is_due_since_its_first_action_until_it_is_dropped(
+    live: LiveRobot,
+) -> None:
+    slow = SlowStarts(live)
+    slow.note(["thinker"], 5.0, 0.0)
+    slow.note(["thinker", "filter"], 7.0, 0.0)
+    assert slow.since(["filter", "thinker"]) == 5.0
+    assert slow.since(["filter"]) == 7.0
+    slow.keep({"filter": "left"})
+    assert slow.since(["thinker"]) == inf
+    assert slow.since(["filter"]) == 7.0
