@@ -68,7 +68,7 @@ def test_no_agent_starts_with_the_keys_of_another_computer(tmp_path: Path) -> No
 
 
 def test_keys_to_lead_with_are_listed_and_renewed(tmp_path: Path) -> None:
-    """They ended, as `issue` renewed the computer's own alone, and `list` was content."""
+    """They ended, as `issue` renewed the others alone, and `list` was content."""
     asked = ("keys", "issue", "hello", "left", "--out", tmp_path)
     run_poise(*asked, "--leads", "--days", "5")
     listed = ("keys", "list", "--folder", tmp_path / "left")
