@@ -142,6 +142,10 @@ def test_who_may_only_look_can_forge_no_heartbeat(authority: Authority) -> None:
     folder = authority.folder.parent / "eve"
     eve = authority.issue("eve", "viewer", folder).check("hello", "viewer")
     assert not (eve.folder / HEARTBEATS).exists()
+    authority.issue("eve", "agent", folder)
+    authority.issue("eve", "manager", eve.to_lead)
+    authority.issue("eve", "viewer", folder)  # nothing of before is left
+    assert {path.name for path in folder.iterdir()} == {*credentials.FILES}
     assert eve.verified(issue(authority).sign(b"beat")) is None
 
 

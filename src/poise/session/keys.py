@@ -89,11 +89,16 @@ class Authority(Struct, frozen=True):
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
             for file in beside.iterdir():
                 file.replace(folder / file.name)
+            issued = Credentials(folder)
+            if role == "viewer":  # as who had another role there may be now
+                (folder / HEARTBEATS).unlink(missing_ok=True)
+                if issued.to_lead.is_dir():
+                    shutil.rmtree(issued.to_lead)
         except OSError as error:
             raise UsageError(f"{folder} cannot be written: {error}") from None
         finally:
             shutil.rmtree(beside, ignore_errors=True)
-        return Credentials(folder)
+        return issued
 
     def rotate(self) -> bool:
         """Take the next step towards another authority; return whether it signs now.
