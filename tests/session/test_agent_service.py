@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import shutil
 import signal
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
+from poise.errors import RunError
+from poise.session.agent_service import AgentService
 from tests.command import Poise
 from tests.runtime.conftest import free_port
 from tests.waiting import LONG, wait_until
@@ -56,6 +60,21 @@ def test_writes_and_removes_a_unit(poise: Poise, tmp_path: Path) -> None:
     again = poise(*words, *place)
     assert again.returncode == 2
     assert "nothing is installed" in again.stderr
+
+
+def test_what_systemd_refuses_names_the_log(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The log of a user's unit was to be found in the machine's."""
+    failed = Mock(returncode=1, stderr="Job failed")
+    monkeypatch.setattr(subprocess, "run", Mock(return_value=failed))
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    (tmp_path / "systemd/private").mkdir(parents=True)
+    service = AgentService("hello", "left", is_users=True)
+    why = f"Job failed; `journalctl --user -u {UNIT}` may say why"
+    with pytest.raises(RunError, match=re.escape(why)):
+        service.install("")
 
 
 def test_the_unit_of_another_robot_is_left_alone(poise: Poise, tmp_path: Path) -> None:

@@ -118,8 +118,9 @@ class AgentService:
     def _tell(self, *commands: Sequence[str]) -> bool:
         if self._is_elsewhere or not _runs(is_users=self._is_users):
             return False
+        users = ["--user"] if self._is_users else []
         for words in commands:
-            command = ["systemctl", *(["--user"] if self._is_users else []), *words]
+            command = ["systemctl", *users, *words]
             try:
                 done = subprocess.run(  # noqa: S603, no word comes from elsewhere
                     command, capture_output=True, text=True, timeout=_LIMIT, check=False
@@ -129,7 +130,7 @@ class AgentService:
             if done.returncode:
                 raise RunError(
                     f"`{shlex.join(command)}`: {done.stderr.strip()}; "
-                    f"`journalctl -u {self.name}` may say why"
+                    f"`{shlex.join(['journalctl', *users, '-u', self.name])}` may say why"
                 )
         return True
 
