@@ -128,9 +128,9 @@ class AgentService:
             except (OSError, subprocess.TimeoutExpired) as error:
                 raise RunError(f"`{shlex.join(command)}`: {error}") from error
             if done.returncode:
+                log = shlex.join(["journalctl", *users, "-u", self.name])
                 raise RunError(
-                    f"`{shlex.join(command)}`: {done.stderr.strip()}; "
-                    f"`{shlex.join(['journalctl', *users, '-u', self.name])}` may say why"
+                    f"`{shlex.join(command)}`: {done.stderr.strip()}; `{log}` may say why"
                 )
         return True
 
