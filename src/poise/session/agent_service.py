@@ -129,9 +129,8 @@ class AgentService:
                 raise RunError(f"`{shlex.join(command)}`: {error}") from error
             if done.returncode:
                 log = shlex.join(["journalctl", *users, "-u", self.name])
-                raise RunError(
-                    f"`{shlex.join(command)}`: {done.stderr.strip()}; `{log}` may say why"
-                )
+                why = f"{done.stderr.strip()}; `{log}` may say why"
+                raise RunError(f"`{shlex.join(command)}`: {why}")
         return True
 
 
