@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from poise.errors import UsageError
-from poise.manage.tasks.concurrent_tasks import Tasks
+from poise.manage.tasks.concurrent_tasks import MOST_OVER, Tasks
 from poise.manage.tasks.task_progress import Saved, TaskRecord
 from poise.manage.tasks.task_reports import OVER
 from poise.model.phases import clashes
@@ -172,6 +172,23 @@ def test_a_limit_counts_only_while_the_action_works() -> None:
     assert "its limit of 10 s is over" in played.tasks.records[0].why
 
 
+def test_a_limit_does_not_count_while_another_task_uses_the_device() -> None:
+    low = task("low", act("grasp it", "grasp", limit=10.0))
+    high = task("high", act("push it", "push"), priority=5)
+    played = Played(low)
+    played.after(6.0)
+    played.tasks = Tasks(
+        robot_with(low, high), played.said.append, saved=played.tasks.saved
+    )
+    played.tasks.start("high", played.now)
+    played.work()
+    assert played.after(100.0) == ["push it"]
+    assert played.end("push it") == ["grasp it"]
+    assert "action 'grasp it' of task 'low' goes on" in played.said
+    assert played.after(3.9) == ["grasp it"]
+    assert played.after(0.2) == []
+
+
 def test_a_condition_ends_an_action_as_done() -> None:
     played = Played(task("t", act("a", until=Until(when="late == 0")), act("b")))
     assert played.after(1.0) == ["a"]
@@ -255,6 +272,8 @@ def test_a_task_that_is_cancelled_frees_what_it_used() -> None:
     played.work()
     assert played.names() == ["y"]
     assert played.states() == {"one": "cancelled", "two": "going"}
+    (ended,) = played.tasks.tries(played.tasks.records[0])
+    assert ended.progress.since is None  # its status says that it works no more
 
 
 def test_a_task_that_was_blocked_says_for_what_it_waits() -> None:
@@ -285,6 +304,34 @@ def test_a_task_runs_once_at_a_time_and_may_run_again() -> None:
     played.tasks.start("t", 1.0)
     assert list(played.states().items()) == [("t", "going")]
     assert [r.state for r in played.tasks.records] == ["done", "going"]
+
+
+def test_of_the_tasks_that_are_over_only_the_last_are_kept() -> None:
+    played = Played(task("t", act("a")))
+    started = [played.tasks.records[0]]
+    for _ in range(MOST_OVER + 5):
+        played.end("a")
+        started.append(played.tasks.start("t", played.now))
+        played.work()
+    assert played.tasks.records == started[-MOST_OVER:]
+
+
+def test_says_since_when_a_task_is_as_it_is() -> None:
+    played = Played(task("t", act("a")))
+    (record,) = played.tasks.records
+    began = record.since
+    played.now = 5.0
+    played.tasks.pause("t", played.now)
+    assert record.since == pytest.approx(began + 5.0, abs=1.0)
+    played.now = 9.0
+    played.tasks.pause("t", played.now)
+    assert record.since == pytest.approx(began + 5.0, abs=1.0)
+    played.tasks.cancel("t", played.now)
+    assert record.since == pytest.approx(began + 9.0, abs=1.0)
+    assert played.said[-2:] == [
+        "task 't' is paused: on request",
+        "task 't' is cancelled: on request",
+    ]
 
 
 def test_the_next_manager_goes_on_where_this_one_was() -> None:
