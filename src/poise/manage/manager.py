@@ -132,7 +132,12 @@ class Manager:
         self._canaries = Canaries(live)
         keep = recording.add if recording else None
         self._adaptation = Adaptation(
-            live, self._situation, self._suspensions, acts=adapts, keep=keep
+            live,
+            self._situation,
+            self._suspensions,
+            acts=adapts,
+            keep=keep,
+            is_well=lambda: not self._deviations(),
         )
         live.check = (
             self._observe
@@ -243,8 +248,7 @@ class Manager:
             if not self._parts.run(
                 "watch new code", self._canaries.check, changes=True
             ):
-                adapt = partial(self._adaptation.adapt, is_well=not self._deviations())
-                self._parts.run("adapt the placement", adapt)
+                self._parts.run("adapt the placement", self._adaptation.adapt)
 
     def stop(self) -> None:
         """Stop the robot, and answer the clients that still wait."""

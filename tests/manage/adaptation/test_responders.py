@@ -57,8 +57,10 @@ class Rig:
             self.robbed.run,
             self.robbed.situation,
             self.robbed.suspensions,
+            is_well=lambda: self.is_well,
             clock=self.clock.now,
         )
+        self.is_well = False
         self.asked = [Asked(each) for each in self.loop.responders]
         self.loop.responders = tuple(self.asked)
 
@@ -98,24 +100,24 @@ def test_while_all_is_well_it_looks_less_often() -> None:
     rig = Rig()
     asked = rig.asked[0]
     for is_well, times in (True, 4), (False, 10):
-        asked.times = 0
+        asked.times, rig.is_well = 0, is_well
         for _ in range(10):
-            rig.loop.adapt(is_well=is_well)
+            rig.loop.adapt()
             rig.clock.sleep(0.2)
         assert asked.times == times
 
 
 def test_what_begins_or_is_changed_is_looked_at_again_at_once() -> None:
     rig = Rig()
-    asked = rig.asked[0]
+    asked, rig.is_well = rig.asked[0], True
     asked.change = Change(carry_out=lambda: None)
-    rig.loop.adapt(is_well=True)
-    rig.loop.adapt(is_well=True)
+    rig.loop.adapt()
+    rig.loop.adapt()
     assert asked.times == 2
     asked.change = None
     rig.loop._read = lambda: rig.robbed.situation(0.0, "a")
     for _ in range(3):
-        rig.loop.adapt(is_well=True)
+        rig.loop.adapt()
     assert asked.times == 5
 
 

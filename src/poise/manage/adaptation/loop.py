@@ -54,6 +54,7 @@ class Adaptation:
     `acts`: whether it changes anything; else it only reports what is wrong.
     `keep`: gets what policies see, each time that they are asked; None: nobody wants
     it, and it is not computed.
+    `is_well`: returns whether nothing is known to be wrong; then it looks less often.
     """
 
     def __init__(
@@ -64,6 +65,7 @@ class Adaptation:
         *,
         acts: bool = True,
         keep: Callable[[Seen], object] | None = None,
+        is_well: Callable[[], bool] = lambda: False,
         clock: Callable[[], float] = time.monotonic,  # a time that never goes back [s]
     ) -> None:
         self._live = live
@@ -71,6 +73,7 @@ class Adaptation:
         self._suspensions = suspensions
         self._acts = acts
         self._keep = keep
+        self._is_well = is_well
         self._clock = clock
         robot, policies = live.robot, policies_of(live.robot.policies)
         names = (component.name for component in robot.components())
@@ -96,13 +99,13 @@ class Adaptation:
         self.hanging: tuple[str, ...] = ()
         """The components that policy `hang` is about now."""
 
-    def adapt(self, *, is_well: bool = False) -> None:
+    def adapt(self) -> None:
         """Look at the robot once, and let the first responder act that wants to.
 
-        While all `is_well`, and after a look that changed nothing, it looks less often.
+        While all is well, and after a look that changed nothing, it looks less often.
         """
-        is_calm = is_well and not self._policies.since
-        if is_calm and self._clock() < self._looked_at + _WELL_EVERY:
+        is_early = self._clock() < self._looked_at + _WELL_EVERY
+        if is_early and not self._policies.since and self._is_well():
             return
         situation = self._analysed(self._situation())
         self._looked_at = situation.now
