@@ -14,6 +14,7 @@ import zipfile
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
+from queue import Queue
 
 import msgspec
 import pytest
@@ -107,7 +108,43 @@ def test_a_version_is_unpacked_and_nothing_else_stays(tmp_path: Path) -> None:
     assert CodeFolder(tmp_path / "code").versions() == (VERSION,)
 
 
-def test_an_interrupted_file_goes_on_where_it_was(tmp_path: Path) -> None:
+def test_a_program_stays_one_and_nothing_else_becomes_one(tmp_path: Path) -> None:
+    with tarfile.open(tmp_path / "archive", "w") as tar:
+        for name, mode in (("camera", 0o755), ("camera.py", 0o644)):
+            member = tarfile.TarInfo(name)
+            member.mode = mode
+            tar.addfile(member)
+    unpack(tmp_path / "archive", tmp_path / "into")
+    modes = {p.name: p.stat().st_mode & 0o777 for p in (tmp_path / "into").iterdir()}
+    assert modes == {"camera": 0o700, "camera.py": 0o600}
+
+
+def test_one_request_is_served_at_a_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    has_begun, may_end = threading.Event(), threading.Event()
+
+    def waits(archive: Path, into: Path) -> int:
+        has_begun.set()
+        assert may_end.wait(20)
+        return unpack(archive, into)
+
+    monkeypatch.setattr(code_folder, "unpack", waits)
+    folder = CodeFolder(tmp_path)
+    send(folder, CODE)
+    answers: Queue[Answer] = Queue()
+    folder.serve(InstallCode(VERSION), answers.put)
+    assert has_begun.wait(20)
+    assert "busy with other code" in refusal(send(folder, CODE))
+    may_end.set()
+    assert answers.get(timeout=20) == Accepted()
+    assert send(folder, CODE) == CodeReceived(len(CODE))
+
+
+def test_an_interrupted_file_goes_on_where_it_was(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(code_folder, "MOST_CODE", len(CODE))  # what came counts once
     folder = CodeFolder(tmp_path)
     first = CodePart(file=VERSION, size=len(CODE), offset=0, data=CODE[:100])
     assert ask(folder, first) == CodeReceived(100)
@@ -207,6 +244,7 @@ def test_an_archive_that_grows_is_bounded(tmp_path: Path) -> None:
 def test_wheels_are_unpacked_beside_the_code(tmp_path: Path) -> None:
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w") as wheel:
+        wheel.writestr("tiny/", "")
         wheel.writestr("tiny/__init__.py", "")
         wheel.writestr("tiny-1.0.data/purelib/small.py", "")
         wheel.writestr("tiny-1.0.data/scripts/run", "")
