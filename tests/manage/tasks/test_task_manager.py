@@ -369,6 +369,16 @@ def test_an_action_that_does_not_fit_alone_fails_and_says_why() -> None:
     assert any("has failed: it does not fit: " in each for each in rig.said())
 
 
+def test_what_is_suspended_needs_no_room_and_holds_no_action_up() -> None:
+    rig = Rig(robot_with(task("t", act("a", "see", "go")), cpu=0.5))
+    rig.manager.tasks.start("t", 0.0)
+    rig.manager.advance(suspended={"go"})
+    assert rig.active() == {"seeer"}
+    assert rig.states()["t"] == ("going", "")
+    (report,) = rig.manager.reports
+    assert [each.is_at_work for each in report.actions] == [True]
+
+
 def test_an_action_that_does_not_fit_is_not_begun_again_at_once() -> None:
     """All its retries were used up within a moment in which nothing changed."""
     other = act("a", "see", "go", on_failure=Retry(times=3, then=act("b", "say")))
