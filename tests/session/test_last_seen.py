@@ -89,6 +89,18 @@ def test_a_connector_counts_what_all_processes_at_its_end_did() -> None:
     assert [end.messages for end in seen.connectors()] == [50]
 
 
+def test_what_a_process_counted_counts_once_however_many_follow() -> None:
+    seen = LastSeen()
+    seen.record(on("left", "eye", ends=[("eye.x-hand.x", 30)]))
+    for pid in (2, 3):  # not connected yet
+        seen.record(on("left", "eye", pid=pid))
+    seen.record(on("left", "eye", ends=[("eye.x-hand.x", 1)], pid=3))
+    assert [end.messages for end in seen.ended] == [30]
+    assert [end.messages for end in seen.connectors()] == [31]
+    (end,) = connectors_of(seen.merged(on("left", "eye", pid=3)))
+    assert end.messages == 31
+
+
 def test_an_end_that_is_joined_again_in_its_process_counts_on() -> None:
     seen = LastSeen()
     seen.record(on("left", "eye", ends=[("eye.x-hand.x", 30)]))

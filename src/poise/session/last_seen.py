@@ -97,6 +97,8 @@ Place = tuple[str, str]
 """Computer and container."""
 _Stay = tuple[Place, int, int]
 """Where, in which process, and as which incarnation."""
+_Ends = tuple[Place, int, list[ConnectorStatus]]
+"""Where and in which process the ends of a connector are, and what they said last."""
 _MOST = 50
 """Up to this number of stays of a component are kept apart."""
 
@@ -111,7 +113,7 @@ class LastSeen:
         self._joined: list[ConnectorStatus] = []
         self._places: dict[str, Place] = {}
         self._stays: dict[str, dict[_Stay, ComponentStatus]] = {}
-        self._ends: dict[tuple[str, Side], tuple[Place, list[ConnectorStatus]]] = {}
+        self._ends: dict[tuple[str, Side], _Ends] = {}
 
     def record(self, statuses: Statuses) -> None:
         """Record what the agents say now."""
@@ -128,8 +130,9 @@ class LastSeen:
         place = computer, container.name
         before = self._containers.get(place, container)
         if before.pid != container.pid:
-            for (_, side), (at, known) in self._ends.items():
-                if at == place:  # a source with two paths counts the same at both
+            for (_, side), (at, pid, known) in self._ends.items():
+                # a source with two paths counts the same at both
+                if (at, pid) == (place, before.pid):
                     self.ended += known[:1] if side == "source" else known
         self._containers[place] = container
         for component in container.components:
@@ -140,10 +143,11 @@ class LastSeen:
         ends = sorted(container.connectors, key=_key)
         for key, same in groupby(ends, _key):  # of a source with two paths
             now = list(same)
-            _, last = self._ends.get(key, (place, now))
-            if before.pid == container.pid and last[0].count > now[0].count:
+            at, pid, last = self._ends.get(key, (place, container.pid, now))
+            has_ended = self._containers[at].pid != pid
+            if not has_ended and last[0].count > now[0].count:
                 self._joined += last[:1]  # it was joined again, and counts from 0
-            self._ends[key] = place, now
+            self._ends[key] = place, container.pid, now
 
     def merged(self, statuses: Statuses) -> Statuses:
         """Return the statuses, with what was there before and is gone."""
@@ -152,11 +156,12 @@ class LastSeen:
             return self._merged(statuses)
 
     def _merged(self, statuses: Statuses) -> Statuses:
+        ends = list(self._whole_ends())
         return {
             computer: replace(
                 status,
                 containers=tuple(
-                    self._latest(place, container)
+                    self._latest(place, container, ends)
                     for place, container in self._containers.items()
                     if place[0] == computer
                 ),
@@ -170,18 +175,7 @@ class LastSeen:
         What a container did after its last status is not known.
         """
         with self._lock:
-            before: dict[tuple[str, Side], ConnectorStatus] = {}
-            for end in (*self.ended, *self._joined):
-                if any(end is each for each in self._ends[_key(end)][1]):
-                    continue  # no other took its place
-                known = before.get(_key(end))
-                before[_key(end)] = _end_after(known, end) if known else end
-            for key, (_, same) in sorted(self._ends.items()):
-                earlier = before.pop(key, None)
-                adds = len(same) if key[1] == "source" else 1
-                for each in same[:adds]:
-                    yield _end_after(earlier, each) if earlier else each
-                yield from same[adds:]
+            yield from (end for _, end in self._whole_ends())
 
     def stays(self) -> Iterator[tuple[str, ComponentStatus]]:
         """Yield each component's last status in each place, with its computer."""
@@ -189,11 +183,31 @@ class LastSeen:
             for ((computer, _), _, _), status in stays.items():
                 yield computer, status
 
-    def _latest(self, place: Place, container: ContainerStatus) -> ContainerStatus:
+    def _whole_ends(self) -> Iterator[tuple[Place, ConnectorStatus]]:
+        """Yield where each end of each connector is, and what all its stays counted."""
+        before: dict[tuple[str, Side], ConnectorStatus] = {}
+        for end in (*self.ended, *self._joined):
+            if any(end is each for each in self._ends[_key(end)][2]):
+                continue  # no other took its place
+            known = before.get(_key(end))
+            before[_key(end)] = _end_after(known, end) if known else end
+        for key, (place, _, same) in sorted(self._ends.items()):
+            earlier = before.pop(key, None)
+            adds = len(same) if key[1] == "source" else 1
+            for each in same[:adds]:
+                yield place, _end_after(earlier, each) if earlier else each
+            yield from ((place, each) for each in same[adds:])
+
+    def _latest(
+        self,
+        place: Place,
+        container: ContainerStatus,
+        ends: Iterable[tuple[Place, ConnectorStatus]],
+    ) -> ContainerStatus:
         here = (name for name, at in self._places.items() if at == place)
         components = tuple(whole(list(self._stays[name].values())) for name in here)
-        ends = (end for at, same in self._ends.values() if at == place for end in same)
-        return replace(container, components=components, connectors=tuple(ends))
+        here_too = tuple(end for at, end in ends if at == place)
+        return replace(container, components=components, connectors=here_too)
 
 
 def _end_after(before: ConnectorStatus, last: ConnectorStatus) -> ConnectorStatus:
