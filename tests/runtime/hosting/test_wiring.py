@@ -8,6 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 import pytest
+from msgspec import structs
 from numpy.typing import NDArray
 
 from poise import Component, Message, Provided, Published, Required, oneway, subscribed
@@ -321,6 +322,23 @@ def test_a_target_is_reached_whose_computer_has_another_gateway_now(pair: Pair) 
     assert source.sums.add(1, 2) == 3
     pair.start_targets_computer_anew(Target)
     assert source.sums.add(1, 2) == 3
+
+
+@pytest.mark.parametrize("pair", ["local", "remote"], indirect=True)
+def test_a_target_counts_on_while_its_source_moves(pair: Pair) -> None:
+    """Both paths are open for a while; it says only once what came."""
+    pair.run("target", Target)
+    source = pair.run("source", Source)
+    spec = pair.join("scan")
+    pair.activate()
+    source.scan.publish(scan())
+    wait_until(lambda: status(pair, "target").wait.count == 1)
+    here = {("target", 0): pair.runners["target", 0]}
+    moved = structs.replace(spec, source_epoch=1)
+    for specs in (spec, moved), (moved,):
+        assert pair.sides["target"].apply(specs, here) == {}
+        assert status(pair, "target").messages == 1
+    assert status(pair, "target").key == moved.key
 
 
 def status(pair: Pair, end: str) -> ConnectorStatus:

@@ -176,7 +176,8 @@ class Wiring:
     def status(self) -> tuple[ConnectorStatus, ...]:
         """Return the status of every open connector, and of what was closed lately.
 
-        What is joined in another way by now, as after a move, is left out.
+        What is joined in another way by now, as after a move, is left out. A target
+        counts on while its source moves, and says so once.
         """
         now, names = time.monotonic(), {c.spec.name for c in self._open.values()}
         self._closed = [
@@ -185,7 +186,10 @@ class Wiring:
             if now - at < _SHOWN_ONCE_CLOSED and closed.spec.name not in names
         ]
         last = [closed.status(is_closed=True) for _, closed in self._closed]
-        return (*(opened.status() for opened in self.open_connectors()), *last)
+        opened = self.open_connectors()
+        latest = {each.counts: each for each in opened}
+        shown = [c for c in opened if c.sender or latest[c.counts] is c]
+        return (*(each.status() for each in shown), *last)
 
     def open_connectors(self) -> list[OpenConnector]:
         """Return what is open now; any thread may ask."""
@@ -275,6 +279,10 @@ class Wiring:
     def _open_target(self, opened: OpenConnector, target: Runner) -> None:
         spec = opened.spec
         port = _port(target, spec.target_port, TAKING)
+        for other in self.open_connectors():
+            is_same = (other.spec.name, other.sender) == (spec.name, None)
+            if is_same and other.spec.target_epoch == spec.target_epoch:
+                opened.counts = other.counts
         feed = target.endpoints.mailbox.feed(port.name, opened.counts)
         heard = target.endpoints.heard[port.name]
         issuer = CreditIssuer(spec.name, feed, opened.counts, heard)
