@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from msgspec.structs import replace
+
 from poise.manage.deploy.deactivation import _left, maybe_active
 from poise.manage.deploy.desired import Incarnation
 from poise.wire.records.status_records import (
@@ -32,11 +34,26 @@ def ends(processed: int, errors: int) -> list[ConnectorStatus]:
 
 
 def test_a_refused_message_is_not_lost() -> None:
-    assert _left(ends(processed=3, errors=2)) == 0
+    assert _left(ends(processed=3, errors=2), (), keeps=False) == 0
 
 
 def test_what_was_not_processed_is_left() -> None:
-    assert _left(ends(processed=3, errors=0)) == 2
+    assert _left(ends(processed=3, errors=0), (), keeps=False) == 2
+
+
+def test_what_was_dropped_where_it_was_sent_hides_nothing_that_was_sent() -> None:
+    source, target = ends(processed=3, errors=0)
+    source = replace(source, drops=9)  # there was no room for nine more
+    assert _left([source, target], (), keeps=False) == 2
+    both = replace(source, end="both", wait=Summary(count=3))
+    assert _left([both], (), keeps=False) == 2
+
+
+def test_what_made_room_for_newer_messages_is_not_lost() -> None:
+    source, target = ends(processed=3, errors=0)
+    assert _left([source, replace(target, drops=2)], (), keeps=True) == 0
+    both = replace(target, end="both", drops=1)
+    assert _left([both], (), keeps=True) == 1
 
 
 PLACES = [Incarnation(component="eye", computer="left")]

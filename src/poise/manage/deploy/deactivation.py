@@ -151,45 +151,52 @@ def _is_processed(live: LiveRobot, targets: Collection[str]) -> bool:
 
 
 def unprocessed(
-    live: LiveRobot, targets: Collection[str], ended: Iterable[ConnectorStatus] = ()
+    live: LiveRobot, targets: Collection[str], ended: Sequence[ConnectorStatus] = ()
 ) -> dict[str, int]:
     """Return connector -> messages sent to `targets` that they have not processed.
 
     `ended`: the last counts of containers that ended; what they did after is not known.
     """
     ends: dict[str, list[ConnectorStatus]] = {}
-    for end in connectors_of(live.agents.statuses()):
+    statuses = live.agents.statuses()
+    for end in connectors_of(statuses):
         ends.setdefault(end.name, []).append(end)
-    wanted = {
-        str(connector): connector.between[1].component
-        for connector in live.layout.connectors(live.placed)
-    }
-    left = {name: _left(same) for name, same in ends.items()}
-    for end in ended:
-        if end.name in left:
-            left[end.name] += _sent(end) - _taken(end)
-    return {
-        name: count
-        for name, count in left.items()
-        if count > 0 and wanted.get(name) in targets
-    }
+    keeping = {(c.name, port) for c in components_of(statuses) for port in c.keeps}
+    left = {}
+    for connector in live.layout.connectors(live.placed):
+        name, (_, target) = str(connector), connector.between
+        if target.component in targets and name in ends:
+            keeps = (target.component, target.port) in keeping
+            gone = [end for end in ended if end.name == name]
+            left[name] = _left(ends[name], gone, keeps=keeps)
+    return {name: count for name, count in left.items() if count > 0}
 
 
-def _left(ends: Sequence[ConnectorStatus]) -> int:
+def _left(
+    ends: Sequence[ConnectorStatus], gone: Sequence[ConnectorStatus], *, keeps: bool
+) -> int:
     """Return how many messages a connector's target has neither processed nor refused.
 
-    A source that moves takes its count along.
+    A source that moves takes its count along. `keeps`: the target drops the oldest.
     """
-    return max(map(_sent, ends), default=0) - sum(map(_taken, ends))
+    sent = max(map(_sent, ends)) + sum(map(_sent, gone))
+    return sent - sum(_taken(end, keeps=keeps) for end in (*ends, *gone))
 
 
 def _sent(end: ConnectorStatus) -> int:
-    return 0 if end.end == "target" else end.messages - end.drops
+    """Return how many messages went out: what found no room did not."""
+    return 0 if end.end == "target" else end.messages
 
 
-def _taken(end: ConnectorStatus) -> int:
-    """Errors of a target that waits for messages are refusals."""
-    return 0 if end.end == "source" else end.wait.count + end.drops + end.errors
+def _taken(end: ConnectorStatus, *, keeps: bool) -> int:
+    """Errors of a target that waits for messages are refusals.
+
+    In one container, drops went out only where the target drops the oldest.
+    """
+    if end.end == "source":
+        return 0
+    drops = end.drops if keeps or end.end == "target" else 0
+    return end.wait.count + drops + end.errors
 
 
 RETURN_LIMIT = 3.0
