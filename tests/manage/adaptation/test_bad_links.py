@@ -60,7 +60,11 @@ def test_a_link_with_delay_or_loss_is_slow(
     assert seen(situation, two, right=bad) == ["slow-link"]
 
 
-def test_a_link_to_a_lost_computer_is_no_news(situation: Make, two: Robot) -> None:
+@pytest.mark.parametrize("gone", ["lost", "away"])
+def test_a_link_to_an_unreached_computer_is_no_news(
+    situation: Make, two: Robot, gone: str
+) -> None:
+    """Each agent that was replaced by another one had its links told to be cut."""
     robot = replace(two, links=(Link(between=("left", "right")),))
     left = AgentStatus(
         computer="left",
@@ -70,7 +74,7 @@ def test_a_link_to_a_lost_computer_is_no_news(situation: Make, two: Robot) -> No
         links={"right": quality(silent=9.0)},
     )
     now = replace(
-        situation(robot=robot), statuses={"left": left}, lost=frozenset({"right"})
+        situation(robot=robot), statuses={"left": left}, **{gone: frozenset({"right"})}
     )
     (link,) = values_of(now, "link")
     assert isinstance(link, LinkValues)

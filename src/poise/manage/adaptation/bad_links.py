@@ -58,7 +58,7 @@ def states_of(situation: Situation) -> Iterator[LinkState]:
             for here, there in ((first, second), (second, first))
             if (status := situation.statuses.get(here)) and there in status.links
         ]
-        if situation.lost & {first, second} or not sides:
+        if situation.unreached & {first, second} or not sides:
             yield LinkState(link=link)
             continue
         yield LinkState(
@@ -81,7 +81,7 @@ def link_values(situation: Situation) -> Iterator[LinkValues]:
         first, second = state.link.between
         status = situation.statuses.get(first)
         clock = status.clocks.get(second) if status else None
-        is_known = situation.lost.isdisjoint(state.link.between)
+        is_known = situation.unreached.isdisjoint(state.link.between)
         carried = traffic.get(frozenset(state.link.between), 0.0)
         yield LinkValues(
             name=str(state),
