@@ -82,10 +82,10 @@ class FailoverResponder:
                 where = desired.placed[name].computer
                 what = f"component '{name}' of '{where}' is missing: {why}"
                 self._live.journal.note("wrong", what)
-        if not failover.placement and not failover.suspended:
+        if not failover.placement:
             return None
         return Change(
-            why=_sentence(failover.placement) if failover.placement else "",
+            why=_sentence(failover.placement),
             facts={"placement": failover.placement, "moves": failover.steps},
             carry_out=partial(self._restart, failover, lost, now),
         )
@@ -98,14 +98,11 @@ class FailoverResponder:
             if not self._suspensions.suspend(failover.suspended, why, now):
                 self._limits.start_backoff(now, dict.fromkeys(lost, 1.0))
                 return
-        if failover.placement:
-            is_room = (
-                not failover.steps or transit(self._live, failover.steps).committed
-            )
-            if is_room and start_together(self._live, failover.placement, lost):
-                self._limits.reset_backoff()
-            else:
-                self._limits.start_backoff(now, dict.fromkeys(lost, 1.0))
+        is_room = not failover.steps or transit(self._live, failover.steps).committed
+        if is_room and start_together(self._live, failover.placement, lost):
+            self._limits.reset_backoff()
+        else:
+            self._limits.start_backoff(now, dict.fromkeys(lost, 1.0))
 
 
 def _sentence(placement: Mapping[str, str]) -> str:
