@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import reduce
-from itertools import groupby
 from typing import TypeVar
 
 from msgspec.structs import replace
@@ -23,7 +23,9 @@ from poise.wire.records.status_records import (
     TimerStatus,
 )
 
+K = TypeVar("K")
 T = TypeVar("T", TimerStatus, ChainStatus)
+V = TypeVar("V")
 
 
 def whole(stays: Sequence[ComponentStatus]) -> ComponentStatus:
@@ -97,8 +99,10 @@ Place = tuple[str, str]
 """Computer and container."""
 _Stay = tuple[Place, int, int]
 """Where, in which process, and as which incarnation."""
-_Ends = tuple[Place, int, list[ConnectorStatus]]
-"""Where and in which process the ends of a connector are, and what they said last."""
+_Count = tuple[Place, int, str, int]
+"""Where, in which process, of which incarnation, and the how many-th: an end that is
+joined again counts from 0."""
+_End = tuple[str, Side]
 _MOST = 50
 """Up to this number of stays of a component are kept apart."""
 
@@ -109,11 +113,10 @@ class LastSeen:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._containers: dict[Place, ContainerStatus] = {}
-        self.ended: list[ConnectorStatus] = []
-        self._joined: list[ConnectorStatus] = []
+        self._heard: dict[str, AgentStatus] = {}
         self._places: dict[str, Place] = {}
         self._stays: dict[str, dict[_Stay, ComponentStatus]] = {}
-        self._ends: dict[tuple[str, Side], _Ends] = {}
+        self._ends: dict[_End, dict[_Count, ConnectorStatus]] = {}
 
     def record(self, statuses: Statuses) -> None:
         """Record what the agents say now."""
@@ -121,33 +124,35 @@ class LastSeen:
             self.record_status(status)
 
     def record_status(self, status: AgentStatus) -> None:
-        """Record what an agent says; any thread may."""
+        """Record what an agent says, unless it said more since; any thread may."""
         with self._lock:
+            heard = self._heard.get(status.computer, status)
+            if heard.start == status.start and heard.uptime > status.uptime:
+                return
+            self._heard[status.computer] = status
             for container in status.containers:
                 self._record_container(status.computer, container)
 
     def _record_container(self, computer: str, container: ContainerStatus) -> None:
         place = computer, container.name
-        before = self._containers.get(place, container)
-        if before.pid != container.pid:
-            for (_, side), (at, pid, known) in self._ends.items():
-                # a source with two paths counts the same at both
-                if (at, pid) == (place, before.pid):
-                    self.ended += known[:1] if side == "source" else known
         self._containers[place] = container
         for component in container.components:
             self._places[component.name] = place
             stays = self._stays.setdefault(component.name, {})
             stays[place, container.pid, component.epoch] = component
-            _fold(stays)
-        ends = sorted(container.connectors, key=_key)
-        for key, same in groupby(ends, _key):  # of a source with two paths
-            now = list(same)
-            at, pid, last = self._ends.get(key, (place, container.pid, now))
-            has_ended = self._containers[at].pid != pid
-            if not has_ended and last[0].count > now[0].count:
-                self._joined += last[:1]  # it was joined again, and counts from 0
-            self._ends[key] = place, container.pid, now
+            _fold(stays, _after)
+        # a source with two paths counts the same at both, but for what went out between
+        ends = {(e.name, e.end, _epoch(e)): e for e in container.connectors}
+        for (name, side, epoch), end in ends.items():
+            counts = self._ends.setdefault((name, side), {})
+            same = place, container.pid, epoch
+            times = [count[-1] for count in counts if count[:-1] == same] or [0]
+            known = counts.pop((*same, times[-1]), end)
+            if known.count > end.count:
+                counts[*same, times[-1]] = known
+                times.append(times[-1] + 1)
+            counts[*same, times[-1]] = end
+            _fold(counts, _end_after)
 
     def merged(self, statuses: Statuses) -> Statuses:
         """Return the statuses, with what was there before and is gone."""
@@ -156,12 +161,11 @@ class LastSeen:
             return self._merged(statuses)
 
     def _merged(self, statuses: Statuses) -> Statuses:
-        ends = list(self._whole_ends())
         return {
             computer: replace(
                 status,
                 containers=tuple(
-                    self._latest(place, container, ends)
+                    self._latest(place, container)
                     for place, container in self._containers.items()
                     if place[0] == computer
                 ),
@@ -175,7 +179,35 @@ class LastSeen:
         What a container did after its last status is not known.
         """
         with self._lock:
-            yield from (end for _, end in self._whole_ends())
+            for _, counts in sorted(self._ends.items()):
+                yield reduce(_end_after, counts.values())
+
+    def unprocessed(self, statuses: Statuses) -> dict[str, int]:
+        """Return connector -> messages that were sent, and are not processed by now.
+
+        What waited for a target that has moved, or rested, went on with it.
+        """
+        self.record(statuses)
+        with self._lock:
+            # a target that drops the oldest, as the end of its connectors' names
+            keeping = tuple(
+                f"-{name}.{port}"
+                for name, stays in self._stays.items()
+                for port in [*stays.values()][-1].keeps
+            )
+            sent: dict[tuple[str, _Count], int] = {}
+            left: Counter[str] = Counter()
+            for (name, side), counts in self._ends.items():
+                if side != "target":  # both count on while the target comes or goes
+                    for count, end in counts.items():
+                        known = sent.get((name, count), 0)
+                        sent[name, count] = max(known, end.messages)
+                if side != "source":
+                    keeps = name.endswith(keeping)
+                    left[name] -= _num_taken(counts, drops=keeps or side == "target")
+            for (name, _), messages in sent.items():
+                left[name] += messages
+        return dict(+left)
 
     def stays(self) -> Iterator[tuple[str, ComponentStatus]]:
         """Yield each component's last status in each place, with its computer."""
@@ -183,31 +215,34 @@ class LastSeen:
             for ((computer, _), _, _), status in stays.items():
                 yield computer, status
 
-    def _whole_ends(self) -> Iterator[tuple[Place, ConnectorStatus]]:
-        """Yield where each end of each connector is, and what all its stays counted."""
-        before: dict[tuple[str, Side], ConnectorStatus] = {}
-        for end in (*self.ended, *self._joined):
-            if any(end is each for each in self._ends[_key(end)][2]):
-                continue  # no other took its place
-            known = before.get(_key(end))
-            before[_key(end)] = _end_after(known, end) if known else end
-        for key, (place, _, same) in sorted(self._ends.items()):
-            earlier = before.pop(key, None)
-            adds = len(same) if key[1] == "source" else 1
-            for each in same[:adds]:
-                yield place, _end_after(earlier, each) if earlier else each
-            yield from ((place, each) for each in same[adds:])
-
-    def _latest(
-        self,
-        place: Place,
-        container: ContainerStatus,
-        ends: Iterable[tuple[Place, ConnectorStatus]],
-    ) -> ContainerStatus:
+    def _latest(self, place: Place, container: ContainerStatus) -> ContainerStatus:
         here = (name for name, at in self._places.items() if at == place)
         components = tuple(whole(list(self._stays[name].values())) for name in here)
-        here_too = tuple(end for at, end in ends if at == place)
-        return replace(container, components=components, connectors=here_too)
+        ends = (
+            reduce(_end_after, counts.values())
+            for counts in self._ends.values()
+            if [*counts][-1][0] == place
+        )
+        return replace(container, components=components, connectors=tuple(ends))
+
+
+def _num_taken(counts: Mapping[_Count, ConnectorStatus], *, drops: bool) -> int:
+    """Return how many messages were taken where they came to.
+
+    Errors of a target that waits for messages are refusals.
+
+    `drops`: whether what was dropped had gone out: in one container it had only where
+    the target drops the oldest.
+    """
+    order, taken = [*counts], 0
+    for now, after in zip(order, [*order[1:], order[-1]], strict=True):
+        end = counts[now]
+        processed = end.wait.count + end.errors + (end.drops if drops else 0)
+        # of a container that ended by itself nothing went on
+        is_lost = now[1] != after[1] and (now[0], now[2]) == (after[0], after[2])
+        goes_on = now != after and not is_lost
+        taken += max(processed, end.messages) if goes_on else processed
+    return taken
 
 
 def _end_after(before: ConnectorStatus, last: ConnectorStatus) -> ConnectorStatus:
@@ -219,13 +254,15 @@ def _end_after(before: ConnectorStatus, last: ConnectorStatus) -> ConnectorStatu
     return replace(last, **sums, **both)
 
 
-def _fold(stays: dict[_Stay, ComponentStatus]) -> None:
+def _fold(stays: dict[K, V], after: Callable[[V, V], V]) -> None:
     """Let the two first stays count as one when there are too many."""
     if len(stays) > _MOST:
         (one, first), (two, second) = list(stays.items())[:2]
-        stays |= {two: whole([first, second])}
+        stays |= {two: after(first, second)}
         del stays[one]
 
 
-def _key(end: ConnectorStatus) -> tuple[str, Side]:
-    return end.name, end.end
+def _epoch(end: ConnectorStatus) -> str:
+    """Return which incarnation counts at an end: each goes on over others' moves."""
+    source, _, target = end.key.rpartition("/")[2].partition(".")
+    return target if end.end == "target" else source

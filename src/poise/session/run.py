@@ -131,7 +131,7 @@ def run(  # noqa: PLR0913 - each is a choice of the user
             shows = "; `poise top` and `poise dashboard` show it"
         say(f"running task '{chosen}' for up to {seconds:g} s{shows}")
         seen = _measure(up, seconds, manager, check, beside)
-        drain(up.live)
+        drain(up.live, seen.last_seen.unprocessed)
         warnings.end()
         entries = tuple(book.entries())
         if book.forgotten:

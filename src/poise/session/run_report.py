@@ -11,7 +11,6 @@ from rich.console import RenderableType
 
 from poise.errors import RunError
 from poise.manage.agent_connections.statuses import Statuses
-from poise.manage.deploy.deactivation import unprocessed
 from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.journal import JournalEntry
 from poise.manage.observe.chains import ChainReport
@@ -199,7 +198,7 @@ def reported(
         errors=component_errors(seen.last_seen.stays()),
         hung=hung_handlers(final),
         refused=refused_messages(final),
-        lost=unprocessed(up.live, placed.where.keys(), seen.last_seen.ended),
+        lost=seen.last_seen.unprocessed(up.live.agents.statuses()),
         silent=silent_ports(robot, final),
         clocks=clocks_of(seen.end),
         interrupted=seen.interrupted,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from functools import partial
 
 from poise.errors import RunError
@@ -11,12 +11,11 @@ from poise.manage.agent_connections.statuses import (
     Statuses,
     calling_ports,
     components_of,
-    connectors_of,
 )
 from poise.manage.deploy.desired import Incarnation
 from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.observe.deviations import last_numbers, new_faults
-from poise.wire.records.status_records import ENDING_LIMIT, ConnectorStatus
+from poise.wire.records.status_records import ENDING_LIMIT
 
 
 def levels(names: Collection[str], leads: Iterable[tuple[str, str]]) -> list[list[str]]:
@@ -80,17 +79,31 @@ def deactivate_callers(live: LiveRobot) -> None:
         next(inactive for inactive in _deactivate(live, leads) if callees <= inactive)
 
 
-def drain(live: LiveRobot) -> None:
+def drain(
+    live: LiveRobot, unprocessed: Callable[[Statuses], Mapping[str, int]]
+) -> None:
     """Deactivate all components, each when it has processed what was sent to it.
 
-    Afterwards the agents' statuses hold the final counts. A component whose handler
-    does not end, and a message that does not arrive, are not waited for any longer.
+    Afterwards the agents' statuses hold the final counts, also of what came to rest
+    before. A component whose handler does not end, and a message that does not arrive,
+    are not waited for any longer.
+
+    `unprocessed`: connector -> messages sent over it that wait or are under way.
     """
-    ends = [connector.between for connector in live.layout.connectors(live.placed)]
-    leads = [(source.component, target.component) for source, target in ends]
+    connectors = live.layout.connectors(live.placed)
+    ends = {str(connector): connector.between for connector in connectors}
+    leads = [(source.component, target.component) for source, target in ends.values()]
+
+    def is_processed(fed: set[str]) -> bool:
+        live.raise_on_lost()
+        left = unprocessed(live.agents.statuses()).keys() & ends.keys()
+        return fed.isdisjoint(ends[name][1].component for name in left)
+
     for inactive in _deactivate(live, leads):
         fed = {target for source, target in leads if source in inactive} - inactive
-        live.agents.wait_news(partial(_is_processed, live, fed), ARRIVAL_LIMIT)
+        live.agents.wait_news(partial(is_processed, fed), ARRIVAL_LIMIT)
+    resting = live.desired.prefetched
+    live.agents.wait_news(partial(_are_inactive, live, resting), REST_LIMIT)
 
 
 def _deactivate(live: LiveRobot, leads: Leads) -> Iterator[set[str]]:
@@ -113,11 +126,8 @@ def _deactivate(live: LiveRobot, leads: Leads) -> Iterator[set[str]]:
 def _are_inactive(live: LiveRobot, names: Collection[str]) -> bool:
     live.reconcile()
     live.raise_on_lost()
-    places = [
-        incarnation
-        for incarnation in live.placed.values()
-        if incarnation.component in names
-    ]
+    known = {**live.desired.prefetched, **live.placed}
+    places = [each for each in known.values() if each.component in names]
     return not maybe_active(places, live.computers(), live.current())
 
 
@@ -143,60 +153,6 @@ def maybe_active(
         if incarnation.computer in reached
         and (incarnation.computer not in current or incarnation.component in active)
     ]
-
-
-def _is_processed(live: LiveRobot, targets: Collection[str]) -> bool:
-    live.raise_on_lost()
-    return not unprocessed(live, targets)
-
-
-def unprocessed(
-    live: LiveRobot, targets: Collection[str], ended: Sequence[ConnectorStatus] = ()
-) -> dict[str, int]:
-    """Return connector -> messages sent to `targets` that they have not processed.
-
-    `ended`: the last counts of containers that ended; what they did after is not known.
-    """
-    ends: dict[str, list[ConnectorStatus]] = {}
-    statuses = live.agents.statuses()
-    for end in connectors_of(statuses):
-        ends.setdefault(end.name, []).append(end)
-    keeping = {(c.name, port) for c in components_of(statuses) for port in c.keeps}
-    left = {}
-    for connector in live.layout.connectors(live.placed):
-        name, (_, target) = str(connector), connector.between
-        if target.component in targets and name in ends:
-            keeps = (target.component, target.port) in keeping
-            gone = [end for end in ended if end.name == name]
-            left[name] = _left(ends[name], gone, keeps=keeps)
-    return {name: count for name, count in left.items() if count > 0}
-
-
-def _left(
-    ends: Sequence[ConnectorStatus], gone: Sequence[ConnectorStatus], *, keeps: bool
-) -> int:
-    """Return how many messages a connector's target has neither processed nor refused.
-
-    A source that moves takes its count along. `keeps`: the target drops the oldest.
-    """
-    sent = max(map(_sent, ends)) + sum(map(_sent, gone))
-    return sent - sum(_taken(end, keeps=keeps) for end in (*ends, *gone))
-
-
-def _sent(end: ConnectorStatus) -> int:
-    """Return how many messages went out: what found no room did not."""
-    return 0 if end.end == "target" else end.messages
-
-
-def _taken(end: ConnectorStatus, *, keeps: bool) -> int:
-    """Errors of a target that waits for messages are refusals.
-
-    In one container, drops went out only where the target drops the oldest.
-    """
-    if end.end == "source":
-        return 0
-    drops = end.drops if keeps or end.end == "target" else 0
-    return end.wait.count + drops + end.errors
 
 
 RETURN_LIMIT = 3.0

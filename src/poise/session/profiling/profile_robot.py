@@ -23,6 +23,7 @@ from poise.model.robot import Robot
 from poise.session import Check, Say, log, nothing
 from poise.session.arguments import check_duration, check_robot
 from poise.session.folders import write_whole
+from poise.session.last_seen import LastSeen
 from poise.session.launch.start import Sampling, Started, started
 from poise.session.profiling.figures import (
     Figures,
@@ -396,7 +397,8 @@ def measure_alone(
             samples = recording.drain()
             invalid = up.computers.end(rig.computer)
             working = up.live.agents.statuses()
-            drain(up.live)  # a caller whose callee ends before it would fail
+            # a caller whose callee ends before it would fail
+            drain(up.live, LastSeen().unprocessed)
             return Observed(
                 measured=measure(samples, rig.robot),
                 statuses=up.live.agents.statuses(),
