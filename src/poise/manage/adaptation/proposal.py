@@ -249,7 +249,8 @@ def share_what_is_left(
     other terms.
     """
     if price is not None:
-        problem = plan.with_small_terms(problem)
+        bad = [k for k in problem.links if "-".join(k.between) in situation.bad_links]
+        problem = plan.with_small_terms(problem, without=bad)
     late = {timer.computer for timer in situation.misses if timer.late}
     rooms = {c.name: _room(c, situation.loads.get(c.name)) for c in problem.computers}
     limits = {

@@ -17,7 +17,7 @@ from typing import NamedTuple
 from msgspec.structs import replace
 
 from poise.errors import UsageError, unknown
-from poise.model.robot import Computer
+from poise.model.robot import Computer, Link
 from poise.model.software import importance
 from poise.plan.problem.arrays import Arrays, arrays_of, overhead_scale
 from poise.plan.problem.items import Item, SoftLimit
@@ -284,12 +284,14 @@ def share_cpu(
     return replace(problem, soft_limits=(*others, *work, *left))
 
 
-def with_small_terms(problem: Problem) -> Problem:
+def with_small_terms(problem: Problem, *, without: Collection[Link] = ()) -> Problem:
     """Return the problem with weights such that F comes to about 1 at most.
 
     A price of something else then means the same for all robots.
+    `without`: links that count as if they were not there.
     """
-    others, weights = _others(problem), problem.objective
+    links = tuple(link for link in problem.links if link not in without)
+    others, weights = _others(replace(problem, links=links)), problem.objective
     smaller = replace(
         weights,
         communication=weights.communication / others,
