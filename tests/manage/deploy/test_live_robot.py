@@ -11,10 +11,12 @@ from msgspec import structs
 from poise.errors import RunError
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.deploy.deactivation import stop
+from poise.manage.deploy.desired import Desired
 from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.journal import Journal
 from poise.model.robot import Robot
 from poise.testing import VirtualClock
+from poise.wire.records.request_records import CheckpointCopy, Election
 from poise.wire.records.status_records import ComponentStatus, Fault
 from tests.manage.conftest import FakeAgents
 
@@ -349,3 +351,55 @@ def test_what_was_dropped_as_its_computer_was_lost_has_no_lease_when_it_starts_a
     agents.gone.add("right")
     run.end_left_behind([structs.replace(new, epoch=new.epoch + 1)])
     assert agents.revoked == ["right"]
+
+
+def test_epochs_of_a_later_leader_are_above_all_of_those_before(
+    robot: Robot, agents: FakeAgents
+) -> None:
+    agents.election = Election(votes={"left": 1, "right": 1})
+    agents.manager = structs.replace(agents.manager, term=3)
+    run, _ = run_of(robot, agents)
+    assert run.placed["thinker"].epoch == 3 << 16
+    assert run.next_epoch("thinker") == (3 << 16) + 1
+
+
+def test_what_begins_after_a_take_over_has_an_epoch_that_nothing_had(
+    robot: Robot, agents: FakeAgents
+) -> None:
+    """What a computer out of reach runs is not known: its epoch is no higher."""
+    for name, generation in (("left", 9), ("right", 4)):
+        status = agents.statuses()[name]
+        agents.report(structs.replace(status, generation=generation))
+    run, _ = run_of(robot, agents)
+    run.adopt({}, {"grabber": 2}, Desired(tasks=b"t"), frozenset(), {}, {})
+    assert (run.next_epoch("thinker"), run.next_epoch("grabber")) == (10, 3)
+    assert (run.desired.generation, run.desired.tasks) == (10, b"t")
+
+
+def test_an_agent_that_knows_nothing_gets_the_checkpoints_of_its_own_components(
+    robot: Robot, agents: FakeAgents
+) -> None:
+    """It has booted anew, and removed what was in its folder."""
+    run, _ = run_of(robot, agents)
+    run.start()
+    for name, placed in run.placed.items():
+        copy = CheckpointCopy(component=name, epoch=placed.epoch, data=b"x", age=1.0)
+        agents.checkpoints.note(copy)
+    agents.strangers.add("right")
+    for _ in range(3):
+        run.reconcile()
+    assert [(at, copy.component) for at, copy in agents.kept] == [("right", "thinker")]
+
+
+def test_what_was_replaced_by_deployed_code_begins_again_with_it(
+    robot: Robot, agents: FakeAgents
+) -> None:
+    run, _ = run_of(robot, agents)
+    run.start()
+    other = structs.replace(run.placed["thinker"], code="v2")
+    run.commit(run.desired.placing([other]), "a test")
+    run.commit(run.desired.without(["thinker"]), "a test")
+    assert run.begun("thinker", "left").code == "v2"
+    run.commit(run.desired.placing([structs.replace(other, code="")]), "a test")
+    run.commit(run.desired.without(["thinker"]), "a test")
+    assert run.begun("thinker", "left").code == ""

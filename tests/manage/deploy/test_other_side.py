@@ -188,6 +188,7 @@ def test_what_the_other_side_ran_goes_on_there_with_its_state(robot: Robot) -> N
     assert cut.goals("grabber") == [("left", 3, "active")]
     assert cut.run.next_epoch("thinker") == 8
     assert not cut.run.desired.held
+    assert cut.run.claimed == {"left", "right"}
 
 
 def test_what_nobody_ran_goes_on_where_it_was(robot: Robot) -> None:
