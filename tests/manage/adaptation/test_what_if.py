@@ -34,6 +34,18 @@ def test_says_which_limits_the_move_would_break(situation: Make, two: Robot) -> 
     assert any("refused" in line for line in what_if_lines(seen))
 
 
+@pytest.mark.parametrize("background", [{}, {"right": 0.5}])
+def test_says_the_same_of_the_present_as_a_balance(
+    situation: Make, background: dict[str, float]
+) -> None:
+    """Other programs may take all the CPU of a computer."""
+    now = situation({"a": "left", "b": "right"}, background=background)
+    seen, proposal = what_if(now, "b", "left"), propose(now)
+    assert (seen.now, seen.trouble) == (proposal.now, proposal.trouble)
+    assert seen.usable["right"] == pytest.approx(0.0 if background else 0.5)
+    assert (seen.then.total < seen.now.total) == bool(background)
+
+
 @pytest.mark.parametrize(
     ("component", "computer"), [("none", "right"), ("a", "none"), ("a", "left")]
 )

@@ -5,11 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from poise import plan
 from poise.errors import RobotError, UsageError
 from poise.manage.adaptation.decision import HORIZON, WORTH, cost_of, move_costs
-from poise.manage.adaptation.proposal import share_what_is_left, with_costs
+from poise.manage.adaptation.proposal import (
+    share_what_is_left,
+    with_costs,
+    with_time_limits,
+)
 from poise.manage.adaptation.situation import Situation
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.migration.migration_report import TransitionStep, WhatIf
@@ -24,7 +29,7 @@ _MOST_KEPT = 5
 
 
 def what_if(situation: Situation, component: str, computer: str) -> WhatIf:
-    """Return what a move would change."""
+    """Return what a move would change, beside what other programs take of the CPU."""
     before = situation.placement
     computers = {c.name: c for c in situation.robot.computers}
     if component not in before:
@@ -35,7 +40,13 @@ def what_if(situation: Situation, component: str, computer: str) -> WhatIf:
     if source == computer:
         raise UsageError(f"component '{component}' runs on '{computer}' already")
     robot = situation.robot_now
-    problem = plan.keep_components(plan.problem_of(robot), before.keys())
+    functions = situation.functions()
+    problem = plan.problem_of(robot, functions=functions, present=before)
+    problem = plan.keep_components(problem, before.keys())
+    left = {c.name: c for c in situation.computers_left()}
+    as_it_is = plan.evaluate(replace(problem, computers=(*left.values(),)), before)
+    problem = with_time_limits(problem, situation, plan.PRICE)
+    problem = share_what_is_left(problem, situation, None)
     now, then = plan.evaluate(problem, before), plan.evaluate(problem, after)
     assert now.objective is not None  # noqa: S101, a given placement has terms
     assert then.objective is not None  # noqa: S101, the same
@@ -49,12 +60,12 @@ def what_if(situation: Situation, component: str, computer: str) -> WhatIf:
         now=now.objective,
         then=then.objective,
         breaks=tuple(_new_breaks(robot, before, component, computer)),
-        trouble=now.reason,
+        trouble=as_it_is.reason,
         loads={
             name: (_load(demands, before, name), _load(demands, after, name))
             for name in (source, computer)
         },
-        usable={name: computers[name].usable("cpu") for name in (source, computer)},
+        usable={name: left[name].usable("cpu") for name in (source, computer)},
         downtime=situation.downtimes.get(component),
         cost=cost_of(situation, [step]),
         state=sizes.get(component, 0),

@@ -166,7 +166,7 @@ class WhatIf(Struct, frozen=True, tag=True, kw_only=True):
     loads
         Computer -> the CPU that its components need, before and after [cores].
     usable
-        Computer -> the CPU that there is for them [cores].
+        Computer -> the CPU that there is for them beside other programs [cores].
     downtime
         For how long its last move paused the component [s]; None: it was not moved yet.
     cost
