@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import cast
 
 import pytest
@@ -9,13 +10,21 @@ from msgspec import structs
 
 from poise.errors import RunError
 from poise.manage.agent_connections.agents import Agents
+from poise.manage.agent_connections.reports import LOOK_EVERY
 from poise.manage.agent_connections.requests import ANSWER_LIMIT, PendingAnswer
 from poise.manage.deploy.live_robot import LiveRobot
-from poise.manage.deploy.reconciler import APPLY_LIMIT, TRY_AGAIN
+from poise.manage.deploy.reconciler import (
+    APPLY_LIMIT,
+    TRY_AGAIN,
+    WITNESS_LIMIT,
+    JoiningComputer,
+)
 from poise.manage.journal import Journal
 from poise.model.robot import Robot
 from poise.testing import VirtualClock
-from poise.wire.records.deployment_records import Deployment
+from poise.wire.records.deployment_records import Deployment, Goal
+from poise.wire.records.migration_records import MigrationSteps, StepsDone, StepsFailed
+from poise.wire.records.request_records import CheckpointCopy, Claimed
 from tests.manage.conftest import FakeAgents
 
 PLACEMENT = {"grabber": "left", "thinker": "right"}
@@ -27,6 +36,31 @@ class Silent(FakeAgents):
     def __init__(self) -> None:
         super().__init__("left", "right")
         self.mute: set[str] = set()
+        self.stubborn: set[str] = set()
+        self.ended_claims: list[str] = []
+        self.asked = 0
+
+    def begin_claim(self, computer: str) -> PendingAnswer:
+        if computer in self.mute:
+            self.claimed.append(computer)
+            return PendingAnswer()
+        reply = super().begin_claim(computer)
+        self.strangers |= self.stubborn & {computer}
+        return reply
+
+    def end_claim(self, computer: str, reply: PendingAnswer) -> None:
+        assert isinstance(reply.answer, Claimed)
+        self.ended_claims.append(computer)
+
+    def begin_steps(self, computer: str, steps: MigrationSteps) -> PendingAnswer:
+        self.asked += 1
+        silent = computer in self.mute
+        return PendingAnswer() if silent else super().begin_steps(computer, steps)
+
+    def begin_keeping(self, computer: str, copy: CheckpointCopy) -> PendingAnswer:
+        if computer in self.mute:
+            return PendingAnswer()
+        return super().begin_keeping(computer, copy)
 
     def begin_deploy(self, computer: str, deployment: Deployment) -> PendingAnswer:
         if computer in self.mute:
@@ -156,6 +190,53 @@ def test_one_that_refuses_a_claim_is_asked_again_later(rig: Rig) -> None:
     assert rig.agents.claimed == ["right", "right"]
 
 
+def test_a_claim_is_not_repeated_while_it_may_be_answered_or_seen(rig: Rig) -> None:
+    rig.agents.strangers.add("right")
+    rig.agents.mute.add("right")
+    for _ in range(3):
+        rig.later(ANSWER_LIMIT / 4)
+    assert rig.agents.claimed == ["right"]
+    rig.agents.mute.clear()
+    rig.agents.stubborn.add("right")  # it obeys, and reports that late
+    rig.later(ANSWER_LIMIT)
+    rig.later(TRY_AGAIN)
+    assert rig.agents.claimed == ["right", "right"]
+    rig.later(0.0)
+    assert rig.agents.ended_claims == ["right"]
+    rig.later(APPLY_LIMIT - 0.1)
+    assert rig.agents.claimed == ["right", "right"]
+    rig.later(0.1)
+    assert rig.agents.claimed == ["right", "right", "right"]
+
+
+def test_a_manager_that_was_replaced_claims_nothing_back(rig: Rig) -> None:
+    rig.agents.later = structs.replace(rig.agents.manager, key="later")
+    rig.agents.strangers.add("right")
+    rig.rest("thinker")
+    assert (rig.agents.claimed, rig.told()) == ([], [])
+
+
+def test_what_was_away_is_told_again_and_no_trouble_of_before_is_said(
+    rig: Rig,
+) -> None:
+    rig.agents.refusing.add("right")
+    rig.rest("thinker")
+    assert rig.run.reconciler.troubles()
+    rig.agents.gone.add("right")
+    rig.told()
+    assert rig.later(10.0) == []
+    assert rig.run.reconciler.troubles() == {}
+    assert rig.run.reconciler.refusal("right") == ""
+    rig.agents.refusing.clear()
+    rig.agents.gone.clear()
+    assert rig.later(0.0) == ["right"]
+    assert rig.later(10.0) == []
+    rig.agents.gone.add("right")
+    rig.later(0.1)
+    rig.agents.gone.clear()
+    assert rig.later(0.0) == ["right"]  # it may have been started again meanwhile
+
+
 def test_an_agent_that_has_not_reported_since_it_is_back_is_waited_for(
     rig: Rig,
 ) -> None:
@@ -175,3 +256,73 @@ def test_each_commit_is_journalled_with_what_changes(rig: Rig) -> None:
     entry = rig.journal.entries()[-1]
     assert (entry.kind, entry.what) == ("desired", "a test")
     assert entry.facts["changes"] == ["thinker/0 on right (active) -> inactive"]
+
+
+def joining(
+    rig: Rig, *, goal: Goal = "inactive", held: bool = False, lacks: bool = False
+) -> JoiningComputer:
+    """Return the right computer, on which the thinker is found."""
+    found = structs.replace(rig.run.placed["thinker"], goal=goal, held=held)
+    deployment = rig.run.layout.specs([found], 9, {})["right"]
+    copy = CheckpointCopy(component="thinker", epoch=0, data=b"x", age=1.0)
+    return JoiningComputer(
+        "right",
+        deployment,
+        cast("Agents", rig.agents),
+        rig.clock,
+        itertools.count(),
+        is_cut_off=False,
+        lacking=[copy] if lacks else [],
+    )
+
+
+def test_what_is_at_work_or_held_is_no_target_of_a_move(rig: Rig) -> None:
+    assert joining(rig, goal="active").is_known()
+    assert joining(rig, held=True).is_known()
+    assert rig.agents.asked == 0
+
+
+def test_what_does_not_say_whether_it_counts_does(rig: Rig) -> None:
+    """It is asked again now and then; while it is out of reach nothing is known."""
+    rig.agents.mute.add("right")
+    right = joining(rig)
+    rig.agents.gone.add("right")
+    rig.clock.sleep(2 * WITNESS_LIMIT)
+    assert not right.is_known()
+    rig.agents.gone.clear()
+    rig.clock.sleep(WITNESS_LIMIT - 0.1)
+    assert not right.is_known()
+    rig.clock.sleep(0.1)
+    assert right.is_known()
+    assert right.committed == {("thinker", 0)}
+
+
+def test_one_that_cannot_say_yet_is_asked_again_now_and_then(rig: Rig) -> None:
+    rig.agents.halted["right"] = StepsFailed(0, "it is busy")
+    right = joining(rig)
+    for _ in range(3):
+        assert not right.is_known()
+    assert rig.agents.asked == 1
+    rig.clock.sleep(LOOK_EVERY)
+    assert not right.is_known()
+    assert rig.agents.asked == 2
+    rig.agents.halted["right"] = StepsDone(0)
+    rig.clock.sleep(LOOK_EVERY)
+    assert not right.is_known()
+    assert right.is_known()
+    assert not right.committed
+
+
+def test_nothing_starts_before_its_checkpoint_is_there_or_late(rig: Rig) -> None:
+    rig.agents.mute.add("right")
+    right = joining(rig, goal="active", lacks=True)
+    assert not right.is_known()
+    rig.clock.sleep(60.0)
+    assert right.is_known()
+    ((_, why),) = right.checkpoints()
+    assert why
+    rig.agents.mute.clear()
+    right = joining(rig, goal="active", lacks=True)
+    assert right.is_known()
+    ((_, why),) = right.checkpoints()
+    assert why == ""
