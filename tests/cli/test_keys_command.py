@@ -10,6 +10,7 @@ import pytest
 
 from poise.cli.agent_command import keys_for
 from poise.errors import UsageError
+from poise.session.keys import authority_of
 from tests.command import run_poise
 
 
@@ -77,6 +78,18 @@ def test_keys_to_lead_with_are_listed_and_renewed(tmp_path: Path) -> None:
     assert "the certificate of manager left ends in 5.0 days" in done.stderr
     assert "agent left, also to lead the robot, until" in run_poise(*asked).stdout
     assert run_poise(*listed).returncode == 0
+
+
+def test_the_keys_of_the_owner_are_renewed_with_the_others(
+    data: Path, tmp_path: Path
+) -> None:
+    """`keys issue` was said to renew them, and no way to call it did."""
+    authority_of("hello").issue("owner", "manager", data / "hello", days=3)
+    assert run_poise("keys", "list", "hello").returncode == 1
+    issue = ("keys", "issue", "hello", "left", "--out", tmp_path / "out")
+    assert f"{data / 'hello'}: manager owner, until" in run_poise(*issue).stdout
+    assert run_poise("keys", "list", "hello").returncode == 0
+    assert "manager owner" not in run_poise(*issue).stdout
 
 
 def test_a_folder_that_is_not_there_has_no_keys(tmp_path: Path) -> None:

@@ -79,6 +79,8 @@ def issue_command(
 ) -> None:
     """Make or renew keys of computers or people, a folder each.
 
+    Your own, which `init` made, are renewed, too, when they soon end.
+
     Examples
     --------
     poise keys issue hello left right
@@ -107,6 +109,10 @@ def issue_command(
         also = ", also to lead the robot" if may_lead else ""
         until = minute(issued.expires)
         typer.echo(f"{issued.folder}: {issued.name}{also}, until {until}")
+    own = _keys_in(authority.folder)
+    if isinstance(own, str) or own.warning():  # `init` made them, so who renews them?
+        own = authority.issue("owner", "manager", authority.folder)
+        typer.echo(f"{own.folder}: {own.name}, until {minute(own.expires)}")
     if issued.expires >= authority.ends.timestamp():
         typer.echo(
             f"the authority ends then, too: `poise keys rotate {robot}` makes another"
