@@ -157,7 +157,7 @@ def test_what_is_lost_starts_elsewhere_once_its_lease_has_ended(
     assert agents.revoked == ["left"]
 
 
-@pytest.mark.parametrize("is_stored", [True])
+@pytest.mark.parametrize("is_stored", [True, False])
 def test_where_managers_are_voted_for_a_majority_must_know_before_it_is_active(
     live: LiveRobot,
     agents: FakeAgents,

@@ -65,12 +65,10 @@ def start_together(
     except RunError as error:
         live.journal.note("failed", f"components did not start: {error}")
         # computers may have been joined meanwhile: what is desired then stays
-        mine = (None, *inactive)
-        back = [each for each in old if live.placed.get(each.component) in mine]
-        live.commit(
-            live.desired.with_coming(()).placing(back),
-            "components did not start: all is as it was",
-        )
+        mine = [e.component for e in inactive if live.placed.get(e.component) == e]
+        desired = live.desired.without(mine)
+        back = [each for each in old if each.component not in desired.placed]
+        live.commit(desired.placing(back), "components did not start: all is as it was")
         return False
     # where they were, they have no lease any more
     live.commit(live.desired.placing(new), "components start together")
