@@ -68,6 +68,13 @@ def test_no_agent_starts_with_the_keys_of_another_computer(tmp_path: Path) -> No
         keys_for(*its, right, is_insecure=False)
 
 
+def test_an_agent_does_not_drop_the_keys_that_it_is_given(tmp_path: Path) -> None:
+    its = "hello", "left", "127.0.0.1"
+    with pytest.raises(UsageError, match="--keys and --insecure: give one of the two"):
+        keys_for(*its, tmp_path, is_insecure=True)
+    assert not keys_for(*its, None, is_insecure=True)
+
+
 def test_keys_to_lead_with_are_listed_and_renewed(tmp_path: Path) -> None:
     """They ended, as `issue` renewed the others alone, and `list` was content."""
     asked = ("keys", "issue", "hello", "left", "--out", tmp_path)

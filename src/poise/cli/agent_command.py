@@ -209,6 +209,8 @@ def keys_for(
     """Return the folder of the agent's keys; empty: it goes without."""
     check_ip(address)
     if is_insecure:
+        if keys is not None:
+            raise UsageError("--keys and --insecure: give one of the two")
         return ""
     own = find(robot, "agent", folder=keys)
     if own is not None:
