@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ast
 import pkgutil
+import subprocess
+import sys
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
@@ -186,6 +188,14 @@ def test_a_part_offers_what_is_written_here(part: str) -> None:
 def test_all_that_a_part_offers_is_there(part: str) -> None:
     module = import_module(part)
     assert [name for name in PUBLIC[part] if not hasattr(module, name)] == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["load", "up", "run", "simulate", "place", "connect"])
+def test_a_name_is_there_whatever_is_asked_for_first(name: str) -> None:
+    argv = [sys.executable, "-c", f"from poise import {name}"]
+    done = subprocess.run(argv, capture_output=True, text=True, check=False)
+    assert not done.returncode, done.stderr
 
 
 def test_every_other_part_is_for_poise_itself() -> None:

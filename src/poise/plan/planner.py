@@ -10,8 +10,8 @@ from typing import Literal, NamedTuple, cast, get_args
 from msgspec.structs import replace
 
 from poise.errors import UsageError, unknown
-from poise.plan import alternatives
 from poise.plan._core import Core
+from poise.plan.alternatives import admit, chosen_by, has_choice, without
 from poise.plan.conflict import is_hopeless
 from poise.plan.problem.arrays import Placed
 from poise.plan.problem.changed_problem import keep_components, scale_of, share_cpu
@@ -50,7 +50,7 @@ class Planner:
         self._build(problem)
 
     def _build(self, problem: Problem) -> None:
-        self._has_alternatives = alternatives.has_choice(problem)
+        self._has_alternatives = has_choice(problem)
         self._keep(CompiledProblem(problem))
 
     def _keep(self, compiled: CompiledProblem) -> None:
@@ -122,7 +122,7 @@ class Planner:
         _check_call(budget, method, seed, steps, stop)
         effort = Effort(min(budget, LONGEST), steps, seed, stop)
         if fewer or self._has_alternatives:
-            result = alternatives.admit(
+            result = admit(
                 self.problem,
                 lambda names, share: self._decide_part(
                     names, method, effort.share(share)
@@ -298,8 +298,8 @@ def evaluate(
     UsageError
         When a component has no computer, or one that is not there.
     """
-    runs = alternatives.without(problem, suspended) if suspended else problem
-    choice, part = alternatives.chosen_by(runs, placement)
+    runs = without(problem, suspended) if suspended else problem
+    choice, part = chosen_by(runs, placement)
     compiled = CompiledProblem(part, given=placement)
     placed = compiled.arrays.placed(placement)
     result = Result.of(compiled, placed, method, given=True)
