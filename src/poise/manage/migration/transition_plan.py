@@ -159,7 +159,6 @@ class _Planner:
         self._steps.append(TransitionStep(name, source, why=why))
 
     def _start(self, name: str, why: str) -> None:
-        self._now[name] = self._then[name]
         self._steps.append(TransitionStep(name, target=self._then[name], why=why))
 
 
