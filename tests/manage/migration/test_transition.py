@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from poise.errors import RobotError
 from poise.manage.migration.migration_report import TransitionStep
@@ -142,3 +143,42 @@ def test_any_transition_arrives_and_is_never_overfull(
     for load in loads_on_the_way(robot, now, steps):
         for computer in robot.computers:
             assert load[computer.name] <= computer.capacity["cpu"] + 1e-9
+
+
+SWAP = {"a": "left", "b": "right"}, {"a": "right", "b": "left"}
+
+
+def moves(robot: Robot, *, shares_cpu: bool = False) -> list[tuple[str, str, str]]:
+    """Return the steps of a swap: component, from where, and where to."""
+    steps = plan_transition(robot, *SWAP, shares_cpu=shares_cpu)
+    return [(each.component, each.source, each.target) for each in steps]
+
+
+def test_what_takes_all_memory_makes_way_though_cpu_is_left() -> None:
+    robot = robot_of({"a": 0.1, "b": 0.1}, {"left": 1.0, "right": 1.0, "third": 1.0})
+    robot = robot.with_components(
+        lambda c: replace(c, demand={**c.demand, "memory": 0.6})
+    )
+    around = [("a", "left", "third"), ("b", "right", "left"), ("a", "third", "right")]
+    assert moves(robot) == around
+
+
+def test_what_shares_cpu_swaps_where_it_is_short_on_the_way() -> None:
+    robot = robot_of({"a": 0.8, "b": 0.8}, {"left": 1.0, "right": 1.0})
+    assert moves(robot) == [
+        ("a", "left", ""),
+        ("b", "right", "left"),
+        ("a", "", "right"),
+    ]
+    swapped = [("a", "left", "right"), ("b", "right", "left")]
+    assert moves(robot, shares_cpu=True) == swapped
+
+
+def test_what_may_not_move_stops_only_what_would_move_it() -> None:
+    robot = robot_of({"a": 0.1, "b": 0.1}, {"left": 1.0, "right": 1.0})
+    robot = robot.with_components(lambda c: replace(c, movable=c.name != "a"))
+    now, then = SWAP
+    steps = plan_transition(robot, now, {**then, "a": "left"})
+    assert steps == (TransitionStep("b", "right", "left"),)
+    with pytest.raises(RobotError, match="'a' is not movable, but would go from 'left"):
+        plan_transition(robot, now, then)
