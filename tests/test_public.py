@@ -173,6 +173,7 @@ PUBLIC = {
         "solve_phases",
         "static",
         "task_problem_of",
+        "with_small_terms",
         "without",
     ],
     "poise.testing": ["Bench", "VirtualClock"],
