@@ -125,7 +125,7 @@ def _too_old(root: Node) -> FileProblem | None:
 
 
 def check(
-    robot: Robot, repository: Repository, broken: Collection[str]
+    robot: Robot, repository: Repository, broken: Collection[str] = ()
 ) -> Iterator[Finding]:
     """Yield every problem of `robot` that shows without its code.
 
