@@ -67,8 +67,11 @@ def kill_manager(robot: Robot, say: Say, check: Check) -> ManagerKilledScene:
     running = Running(robot.name)
     with emulated(robot, say=say):
         with _manager(robot, "first manager", say) as first:
-            wait_until(lambda: _manages(running, first), time.monotonic(), check)
+            began = time.monotonic()
+            wait_until(lambda: _manages(running, first), began, check)
             wait(WARM_UP, check)
+            # a busy machine may have held an agent up: a move would be refused
+            wait_until(lambda: not running.status().deviations, began, check)
             before = _places(running)
             say(f"'{_MOVED}' is to move to '{_TARGET}'")
             threading.Thread(target=_move, args=(running,), daemon=True).start()

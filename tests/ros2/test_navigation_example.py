@@ -37,6 +37,7 @@ def test_no_node_knows_of_poise() -> None:
 @pytest.mark.exhaustive
 @pytest.mark.timeout(300)
 def test_poise_keeps_the_controllers_rate_where_one_computer_cannot() -> None:
+    speed = loops()
     done = subprocess.run(
         [EXAMPLE / "overload.sh"],
         capture_output=True,
@@ -54,7 +55,7 @@ def test_poise_keeps_the_controllers_rate_where_one_computer_cannot() -> None:
         [float(rate) for rate in re.findall(r"controller ([\d.]+) Hz", part)]
         for part in done.stdout.split("--adapt:")
     )
-    if mean(after[-3:]) <= 18 and (speed := loops()) < NEEDED_LOOPS:
+    if mean(after[-3:]) <= 18 and (speed := min(speed, loops())) < NEEDED_LOOPS:
         pytest.skip(f"both computers are full: {speed:.0f} of {NEEDED_LOOPS:.0f} loops")
     assert mean(after[-3:]) > 18  # of 20 Hz
     assert mean(before[-3:]) < mean(after[-3:]) - 2
