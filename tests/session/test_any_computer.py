@@ -6,6 +6,7 @@ import contextlib
 import os
 import signal
 import subprocess
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -102,8 +103,12 @@ class Field:
 
 @pytest.fixture
 def field(tmp_path: Path) -> Iterator[Field]:
-    with bare_computers(NAMES, tmp_path) as emulation:
-        yield Field(emulation, tmp_path)
+    # the paths of sockets are short: a path of pytest's may be too long for them
+    with (
+        tempfile.TemporaryDirectory(prefix="any-") as folder,
+        bare_computers(NAMES, tmp_path) as emulation,
+    ):
+        yield Field(emulation, Path(folder))
 
 
 def test_commands_find_the_leader_from_each_computer(field: Field) -> None:
