@@ -48,7 +48,7 @@ _LOOK_EVERY = 1.0
 _REACH_LIMIT = 0.5
 """A manager elsewhere answers within this time [s], or agents are asked why not."""
 _PROBE_LIMIT = 0.5
-_CHANGE_LIMIT = 10.0
+_CHANGE_LIMIT = 5.0
 """A standby leads within this time [s], if one can."""
 _ASK_EVERY = 0.1
 
