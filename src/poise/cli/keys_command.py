@@ -110,7 +110,7 @@ def issue_command(
         until = minute(issued.expires)
         typer.echo(f"{issued.folder}: {issued.name}{also}, until {until}")
     own = _keys_in(authority.folder)
-    if isinstance(own, str) or own.warning():  # `init` made them, so who renews them?
+    if isinstance(own, str) or own.warning():  # nothing else renews what `init` made
         own = authority.issue("owner", "manager", authority.folder)
         typer.echo(f"{own.folder}: {own.name}, until {minute(own.expires)}")
     if issued.expires >= authority.ends.timestamp():

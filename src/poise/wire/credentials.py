@@ -91,7 +91,7 @@ class Credentials:
         if not (self._trusts(leading) and leading._trusts(self)):  # noqa: SLF001
             raise UsageError(
                 f"the keys in {self.to_lead} and {self.folder} are of two authorities: "
-                "`poise keys issue --leads` makes both anew"
+                "`poise keys issue --leads` makes both again"
             )
         return leading
 

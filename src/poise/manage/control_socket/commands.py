@@ -206,7 +206,7 @@ class RobotStatus(Struct, frozen=True, tag=True, kw_only=True):
         return (named | self.out_of_reach.keys()) - known
 
     def background(self, computer: str) -> float:
-        """Return what other programs use of a computer [its cores]; 0: not known."""
+        """Return what other programs are known to use of a computer [its cores]."""
         load = self.loads.get(computer)
         if load is None or not load.capacity:
             return 0.0
