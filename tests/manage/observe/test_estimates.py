@@ -1,4 +1,7 @@
+import contextlib
 import socket
+import struct
+import threading
 import urllib.error
 import urllib.request
 from pathlib import Path
@@ -17,7 +20,11 @@ from poise.estimate.profiles import (
 from poise.manage.control_socket.commands import RobotStatus
 from poise.manage.observe.deviations import Deviation
 from poise.manage.observe.estimates import Estimates
-from poise.manage.observe.prometheus import MetricsCollector, MetricsServer
+from poise.manage.observe.prometheus import (
+    MOST_CLIENTS,
+    MetricsCollector,
+    MetricsServer,
+)
 from poise.manage.observe.sample_recording import Recording
 from poise.model.robot import Robot
 from poise.wire.recording_file import samples_of
@@ -33,6 +40,7 @@ from poise.wire.records.status_records import (
 )
 from tests.manage.observe.conftest import Sampler, status_of
 from tests.recordings import write_recording
+from tests.waiting import wait_until
 
 
 def test_stands_against_the_profile(robot: Robot, steady: Sampler) -> None:
@@ -325,6 +333,36 @@ def test_metrics_on_loopback_are_refused_under_another_name(host: str) -> None:
         for name in ("localhost", "[::1]:9464"):
             request = urllib.request.Request(at, headers={"Host": name})
             urllib.request.urlopen(request, timeout=20).close()
+
+
+@pytest.mark.slow
+def test_clients_that_ask_nothing_leave_room_for_others() -> None:
+    with MetricsServer("127.0.0.1", 0) as server, contextlib.ExitStack() as opened:
+        address, threads = ("127.0.0.1", server.port), threading.active_count()
+        for _ in range(3 * MOST_CLIENTS):
+            client = opened.enter_context(socket.create_connection(address, 20))
+            client.sendall(b"GET /metrics HTTP/1.1\r\nHo")
+        url = f"http://127.0.0.1:{server.port}/metrics"
+        urllib.request.urlopen(url, timeout=20).close()
+        wait_until(lambda: threading.active_count() <= threads + MOST_CLIENTS)
+
+
+@pytest.mark.slow
+def test_clients_write_nothing_into_the_log(capfd: pytest.CaptureFixture[str]) -> None:
+    with MetricsServer("127.0.0.1", 0) as server:
+        address = "127.0.0.1", server.port
+        at = f"http://127.0.0.1:{server.port}/metrics"
+        accept = "application/openmetrics-text;version=a;escaping=b"
+        with socket.create_connection(address) as client:
+            client.sendall(b"GET /metrics HTTP/1.1\r\n")
+            at_once = struct.pack("ii", 1, 0)
+            client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, at_once)
+        request = urllib.request.Request(at, headers={"Accept": accept})
+        urllib.request.urlopen(request, timeout=20).close()
+        threads = [t for t in threading.enumerate() if "process_request" in t.name]
+        for thread in threads:
+            thread.join(20)
+    assert capfd.readouterr() == ("", "")
 
 
 @pytest.mark.slow

@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
+import socket
 import time
 from collections.abc import Callable, Iterable
+from socketserver import ThreadingMixIn
 from typing import Any, Self
+from wsgiref.simple_server import WSGIRequestHandler, WSGIServer
 
-from prometheus_client import CollectorRegistry, start_http_server
+from prometheus_client import CollectorRegistry, make_wsgi_app
 from prometheus_client.metrics_core import Metric
 from prometheus_client.registry import Collector
 
+from poise import threads
 from poise.endpoint import is_loopback
 from poise.errors import RunError
 from poise.manage.control_socket.commands import RobotStatus
 from poise.manage.observe.metrics import METRICS, kind_of, samples
+from poise.wire.address import family_of
 
 _LOOK_EVERY = 0.1
+MOST_CLIENTS = 32
+"""So many requests are served at a time; a further one ends the oldest."""
 
 
 class MetricsCollector(Collector):
@@ -61,11 +69,13 @@ class MetricsServer:
 
     def _listen(self, host: str, port: int) -> OSError | None:
         try:
-            self._server, self._thread = start_http_server(port, host, self._registry)
+            self._server = _Server(host, port)
         except OSError as error:
             return error
-        if is_loopback(host):
-            self._server.set_app(_for_this_computer(self._server.get_app()))
+        app: Any = make_wsgi_app(self._registry)
+        self._server.set_app(_for_this_computer(app) if is_loopback(host) else app)
+        self._thread = threads.daemon(self._server.serve_forever, "metrics")
+        self._thread.start()
         return None
 
     def show(self, status: Callable[[], RobotStatus]) -> None:
@@ -85,6 +95,47 @@ class MetricsServer:
         self._server.shutdown()
         self._server.server_close()
         self._thread.join()
+
+
+class _Server(ThreadingMixIn, WSGIServer):
+    """Serves a few requests at a time, each on its thread, whoever else connects."""
+
+    daemon_threads = True
+    request_queue_size = 128
+
+    def __init__(self, host: str, port: int) -> None:
+        self.address_family = family_of(host)
+        self._open: dict[Any, None] = {}
+        super().__init__((host, port), _Handler)
+
+    def process_request(self, request: Any, client_address: Any) -> None:  # noqa: ANN401, as socketserver has it
+        """Serve a request; if there are too many, the oldest ends."""
+        if len(self._open) >= MOST_CLIENTS:
+            oldest = next(iter(self._open))
+            self._open.pop(oldest, None)
+            with contextlib.suppress(OSError):  # it has just ended
+                oldest.shutdown(socket.SHUT_RDWR)
+        self._open[request] = None
+        super().process_request(request, client_address)
+
+    def shutdown_request(self, request: Any) -> None:  # noqa: ANN401, as above
+        """End a request."""
+        self._open.pop(request, None)
+        super().shutdown_request(request)
+
+    def handle_error(self, request: Any, client_address: Any) -> None:  # noqa: ANN401, as above
+        """Say nothing of a client that has left: any could fill the log."""
+
+
+class _Handler(WSGIRequestHandler):
+    def get_environ(self) -> dict[str, Any]:
+        """Return what was asked; always for text, for the library fails on others."""
+        environ = super().get_environ()
+        environ.pop("HTTP_ACCEPT", None)
+        return environ
+
+    def log_message(self, format: str, *args: object) -> None:  # noqa: A002, its name there
+        """Log no requests."""
 
 
 def _for_this_computer(app: Any) -> Callable[..., Any]:  # noqa: ANN401, WSGI
