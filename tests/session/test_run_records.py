@@ -39,7 +39,9 @@ def statuses(
     return {"left": status}
 
 
-def target(name: str, messages: int = 0, errors: int = 0) -> ConnectorStatus:
+def target(
+    name: str, messages: int = 0, errors: int = 0, refused: int = 0
+) -> ConnectorStatus:
     return ConnectorStatus(
         name=name,
         kind="local",
@@ -47,6 +49,7 @@ def target(name: str, messages: int = 0, errors: int = 0) -> ConnectorStatus:
         ready=True,
         messages=messages,
         errors=errors,
+        refused=refused,
     )
 
 
@@ -79,7 +82,7 @@ EYE = ComponentStatus(name="eye", state="inactive")
 
 def test_messages_that_were_refused_count_and_failed_calls_do_not() -> None:
     """A call that fails is an error of its caller, who may expect it."""
-    found = statuses(BRAIN, connectors=(target(TOPIC, 5, 2), target(CALL, 0, 3)))
+    found = statuses(BRAIN, connectors=(target(TOPIC, 5, 2, 2), target(CALL, 0, 3)))
     assert refused_messages(found) == {TOPIC: 2}
 
 

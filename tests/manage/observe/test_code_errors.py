@@ -27,12 +27,10 @@ def statuses(
 ) -> dict[str, AgentStatus]:
     error = ErrorCount(where="tick", text=TEXT, first=1.0, count=count)
     errors = (error,) if count else ()
-    hand = ComponentStatus(
-        name="hand", state=state, error_counts=errors, subscribes=("size",)
-    )
+    hand = ComponentStatus(name="hand", state=state, error_counts=errors)
     name = "eye.size-hand.size"
     end = ConnectorStatus(
-        name=name, kind="local", end="target", ready=True, errors=refused
+        name=name, kind="local", end="target", ready=True, refused=refused
     )
     container = ContainerStatus(
         name="arm", pid=pid, components=(hand,), connectors=(end,)

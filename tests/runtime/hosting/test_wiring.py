@@ -493,6 +493,18 @@ def test_what_is_refused_again_and_again_is_logged_once(
 
 
 @pytest.mark.parametrize("pair", ["local", "remote"], indirect=True)
+def test_a_one_way_call_that_is_refused_counts_as_a_message(pair: Pair) -> None:
+    """Nobody gets its error, as a caller gets that of another call."""
+    source, _ = start(pair, "sums")
+    with pytest.raises(CannotCross):
+        source.sums.add("one", 2)  # type: ignore[arg-type]
+    source.sums.note(1)  # type: ignore[arg-type]
+    assert source.sums.add(1, 2) == 3
+    (end,) = pair.sides["target"].status()
+    assert (end.errors, end.refused) == (2, 1)
+
+
+@pytest.mark.parametrize("pair", ["local", "remote"], indirect=True)
 def test_a_caller_that_gave_up_does_not_enter_a_second_time(pair: Pair) -> None:
     source, target = start(pair, "sums", limit=0.1)
     wait_until(lambda: _answers(source))  # to open the link may take longer than a call

@@ -210,21 +210,10 @@ def _raised(component: ComponentStatus, computer: str) -> _Counts:
 
 
 def refused(container: ContainerStatus) -> Iterator[tuple[str, int]]:
-    """Yield connectors whose targets refused messages, and how many.
-
-    A call that fails is an error of its caller, who may expect it.
-    """
-    failing = [e for e in container.connectors if e.errors and e.end != "source"]
-    if not failing:
-        return
-    topics = tuple(
-        f"-{component.name}.{port}"
-        for component in container.components
-        for port in component.subscribes
-    )
-    for end in failing:
-        if end.name.endswith(topics):
-            yield end.name, end.errors
+    """Yield connectors whose targets refused messages, and how many."""
+    for end in container.connectors:
+        if end.refused:
+            yield end.name, end.refused
 
 
 _MOST_THREADS = 20

@@ -39,12 +39,15 @@ class Overtaken(WireError):
 class Counts(_calls.Counts):
     """What one end of a connector counts, on the threads that use it."""
 
+    refused = 0
+
     def refuse(self, error: WireError) -> None:
         """Count something that came and is not taken."""
         if isinstance(error, Overtaken):
             self.drops += 1
         else:
             self.errors += 1
+            self.refused += 1
 
     def status(
         self, name: str, key: str, kind: ConnectorKind, end: Side, *, ready: bool
@@ -61,6 +64,7 @@ class Counts(_calls.Counts):
             bytes_out=self.bytes_out,
             bytes_in=self.bytes_in,
             errors=self.errors,
+            refused=self.refused,
             drops=self.drops,
             delay=self.delay.summary(),
             wait=self.wait.summary(),

@@ -83,6 +83,9 @@ class ConnectorStatus(Struct, frozen=True, kw_only=True):
     bytes_out: int = 0
     bytes_in: int = 0
     errors: int = 0  # Calls that failed, and what came and was refused
+    # Of these, messages and one-way calls that are not of the port's type. Who called
+    # otherwise has the error, and may expect it
+    refused: int = 0
     # Messages that this end gave up: they could not go out, found no room, or made room
     # for newer ones
     drops: int = 0
