@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
+import os
 import sys
 import zipfile
 from pathlib import Path
@@ -11,6 +13,7 @@ import msgspec
 import pytest
 
 from poise.errors import RunError, UsageError
+from poise.session.deploy import deploy
 from poise.session.deploy.deploy import LOCK, files_for, lock_wheels, manifest_of
 from poise.wire.records.code_records import Manifest
 from tests.tiny_wheel import make_wheel
@@ -79,6 +82,24 @@ def test_a_lock_holds_until_the_requirements_change(
     assert [*lock_wheels(str(tmp_path), PLATFORMS[:1]).wheels[PLATFORMS[0]]] == [
         "tiny-2.0-py3-none-any.whl"
     ]
+
+
+def test_a_full_disk_leaves_the_lock_that_was_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fill(path: Path, *_: object, **__: object) -> int:
+        path.open("w").close()
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    (tmp_path / "requirements.txt").write_text("tiny\n")
+    monkeypatch.setattr(deploy, "_fetch", lambda *_: {"tiny-1.0.whl": "f0"})
+    manifest = lock_wheels(str(tmp_path), PLATFORMS[:1])
+    for write in ("write_text", "write_bytes"):
+        monkeypatch.setattr(Path, write, fill)
+    with pytest.raises(RunError, match=r"requirements\.lock cannot be written: No sp"):
+        lock_wheels(str(tmp_path), PLATFORMS)
+    assert manifest_of(str(tmp_path)) == manifest
+    assert {path.name for path in tmp_path.iterdir()} == {"requirements.txt", LOCK}
 
 
 def test_a_damaged_lock_is_named(tmp_path: Path) -> None:

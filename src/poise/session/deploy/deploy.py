@@ -32,6 +32,7 @@ from poise.model.robot import Robot
 from poise.session import Check, Say, log, nothing
 from poise.session.arguments import check_robot
 from poise.session.deploy.native_code import unfit
+from poise.session.folders import write_whole
 from poise.session.launch.computers import Computers, real_agents
 from poise.units import format_bytes
 from poise.user_folders import home_folder
@@ -358,7 +359,7 @@ def lock_wheels(folder: str, platforms: Collection[str]) -> Manifest:
     if new:
         lock = _Lock(requirements=_digest(requirements), wheels=wheels)
         text = msgspec.json.format(msgspec.json.encode(lock, order="deterministic"))
-        requirements.with_name(LOCK).write_bytes(text + b"\n")
+        write_whole(requirements.with_name(LOCK), f"{text.decode()}\n")
     return Manifest(wheels=wheels)
 
 
