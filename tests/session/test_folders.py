@@ -11,6 +11,7 @@ import pytest
 from poise.cli.options import try_write
 from poise.errors import RunError
 from poise.model import load
+from poise.session.agent_service import AgentService
 from poise.session.diagrams.draw import draw
 from poise.session.folders import write_whole
 
@@ -33,6 +34,9 @@ def test_a_full_disk_leaves_the_file_that_was_there(
     assert said == [f"{page} cannot be written: No space left on device"]
     with pytest.raises(RunError, match=r"robot\.svg cannot be written: No space"):
         draw(load(HELLO)).save(drawing)
+    service = AgentService("hello", "left", is_users=False, folder=tmp_path)
+    with pytest.raises(RunError, match=r"left\.service cannot be written: No space"):
+        service.install("")
     assert {path.read_text() for path in tmp_path.iterdir()} == {"earlier"}
     assert set(tmp_path.iterdir()) == {page, drawing}
 

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from poise.errors import RunError, UsageError
+from poise.session.folders import write_whole
 from poise.user_folders import home_folder
 
 _SYSTEM = Path("/etc/systemd/system")
@@ -88,11 +89,9 @@ class AgentService:
         try:
             self._raise_if_anothers()
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            written = self.path.with_suffix(".new")
-            written.write_text(text)
-            written.replace(self.path)
         except OSError as error:
             raise UsageError(f"{self.path}: {error.strerror}") from error
+        write_whole(self.path, text)
         return self._tell(
             ["daemon-reload"], ["enable", self.name], ["restart", self.name]
         )
