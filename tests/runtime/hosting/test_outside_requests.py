@@ -11,7 +11,7 @@ from typing import Annotated, Any, Protocol
 import pytest
 from msgspec import Meta
 
-from poise import Component, Provided
+from poise import Component, Message, Provided
 from poise.clock import SystemClock
 from poise.runtime.execution.counters import StatsPage, new_memory
 from poise.runtime.hosting.outside_requests import OutsideRequests
@@ -24,8 +24,24 @@ LIMIT = 20.0
 Seconds = Annotated[float, Meta(ge=0)]
 
 
+class Circle(Message, tag=True):
+    radius: float = 0.0
+
+
+class Square(Message, tag=True):
+    side: float = 0.0
+
+
+class Drawing(Message):
+    shapes: tuple[Circle | Square, ...] = ()
+    named: dict[str, Circle] | None = None
+    best: Circle | None = None
+
+
 class Burns(Protocol):
     def burn(self, seconds: Seconds) -> None: ...
+
+    def draw(self, drawing: Drawing) -> None: ...
 
 
 class Burner(Component):
@@ -38,6 +54,9 @@ class Burner(Component):
         end = time.thread_time() + seconds
         while time.thread_time() < end:
             pass
+
+    def draw(self, drawing: Drawing) -> None:
+        pass
 
 
 class Asked:
@@ -101,6 +120,22 @@ def test_an_argument_out_of_range_is_named_with_its_plain_type(asked: Asked) -> 
     answer = asked.burn(-1.0)
     assert answer.outcome == "refused"
     assert answer.reason.startswith("argument 1 of burn is not of type float: ")
+
+
+CIRCLE = {"type": "Circle", "radius": 1.0}
+WRONG = {"type": "Circle", "side": 1.0}
+
+
+@pytest.mark.parametrize("name", ["shapes", "named", "best"])
+def test_fields_that_a_message_inside_has_not_are_told(asked: Asked, name: str) -> None:
+    def with_part(part: object) -> object:
+        parts = {"shapes": [CIRCLE, part], "named": {"a": part}, "best": part}
+        return [[{name: parts[name]}], {}]
+
+    assert asked.ask("burns", "draw", with_part(CIRCLE)).outcome == "done"
+    answer = asked.ask("burns", "draw", with_part(WRONG))
+    assert answer.outcome == "refused"
+    assert "Circle has no 'side'; it has 'radius'" in answer.reason
 
 
 def test_parameters_are_refused_by_whatever_a_hook_raises(asked: Asked) -> None:

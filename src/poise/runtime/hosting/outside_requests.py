@@ -279,7 +279,7 @@ def _arguments(method: Method, request: PortRequest) -> tuple[Any, ...]:
 def _converted(value: Packed, type_: Any, what: str) -> Any:  # noqa: ANN401, any type
     try:
         converted = unpack(value, type_)
-        unknown = next(_unknown(unpack(value), type_), "")
+        unknown = next(_unknown(unpack(value), converted), "")
     except WireError as error:
         raise UsageError(f"{what} is not of type {_name(type_)}: {error}") from error
     if unknown:
@@ -287,18 +287,28 @@ def _converted(value: Packed, type_: Any, what: str) -> Any:  # noqa: ANN401, an
     return converted
 
 
-def _unknown(value: object, type_: object) -> Iterator[str]:
-    """Yield what is said of fields that a message has not, also of those inside."""
-    if not (isinstance(type_, type) and issubclass(type_, Struct)):
-        return
-    if isinstance(value, dict):
-        fields = {each.encode_name: each.type for each in structs.fields(type_)}
-        for name, part in value.items():
-            if name in fields:
-                yield from _unknown(part, fields[name])
-            else:
-                guess = did_you_mean(name, fields)
-                yield f"{_name(type_)} has no '{name}'{guess}; it has {listed(fields)}"
+def _unknown(given: object, taken: object) -> Iterator[str]:
+    """Yield what is said of fields that a message has not, also of those inside.
+
+    `taken`: what plain data was taken for, which may be one of several types.
+    """
+    pairs: Iterable[tuple[object, object]] = ()
+    if isinstance(given, dict) and isinstance(taken, Struct):
+        fields = {each.encode_name: each.name for each in structs.fields(taken)}
+        named = [*fields, taken.__struct_config__.tag_field]
+        for name in given:
+            if name not in named:
+                guess, type_ = did_you_mean(name, fields), _name(type(taken))
+                yield f"{type_} has no '{name}'{guess}; it has {listed(fields)}"
+        known = [name for name in given if name in fields]
+        pairs = ((given[name], getattr(taken, fields[name])) for name in known)
+    elif isinstance(given, dict) and isinstance(taken, dict):
+        pairs = zip(given.values(), taken.values(), strict=False)
+    elif isinstance(given, list) and isinstance(taken, list | tuple):
+        pairs = zip(given, taken, strict=False)
+    for part, taken_part in pairs:
+        if isinstance(part, dict | list):
+            yield from _unknown(part, taken_part)
 
 
 def _name(type_: object) -> str:
