@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -149,6 +150,22 @@ import poise, poise.cli.simulate_command
 poise.simulate, poise.SimulatedFault(at=1.0, kind="kill agent", target="left")
 """
     subprocess.run([sys.executable, "-c", code], check=True, timeout=LONG)
+
+
+@pytest.mark.slow
+def test_what_does_not_fit_is_suspended_and_its_task_goes_on(tmp_path: Path) -> None:
+    file = tmp_path / "robot.yaml"
+    file.write_text("""
+robot: full
+computers: {one: {cpu: 1, memory: 1 GiB}}
+architectures:
+  see: {function: seeing, priority: 2, components: {eye: {command: "true", cpu: 0.8}}}
+  hear: {function: hearing, components: {ear: {command: "true", cpu: 0.8}}}
+tasks: {work: {actions: [{name: do, functions: [seeing, hearing]}]}}
+""")
+    found = poise.simulate(poise.load(file), seconds=2.0)
+    assert found.placement == {"eye": "one"}
+    assert [task.state for task in found.tasks] == ["going"]
 
 
 @pytest.mark.parametrize("seconds", [0.0, -1.0, float("inf"), float("nan")])

@@ -232,7 +232,12 @@ def _recorded(robot: Robot, recording: str | PathLike[str] | None) -> dict[str, 
 def _simulated(
     asked: RehearsalPlan, seed: int, placed: Placement, meanwhile: Watch, check: Check
 ) -> Simulation:
-    scenario = structs.replace(asked, placement=placed.where, method=placed.method)
+    scenario = structs.replace(
+        asked,
+        placement=placed.where,
+        method=placed.method,
+        suspended=placed.why_suspended,
+    )
     rehearsal, _ = _engine()
     check()
     with closing(rehearsal(scenario, seed)) as simulated:

@@ -51,6 +51,7 @@ class ManagedRobot(Struct, frozen=True, kw_only=True):
 
     `placement`: component -> computer, of what they start if nothing runs.
     `tasks`: names of tasks.
+    `suspended`: why not all that the tasks need starts then; empty: it does.
     `adapts`: whether they change the placement by themselves.
     `profile`: what demands are compared with; None: with what was needed at first.
     `election`: how they follow each other; None: they do not by themselves.
@@ -59,6 +60,7 @@ class ManagedRobot(Struct, frozen=True, kw_only=True):
     robot: Robot
     placement: Mapping[str, str]
     tasks: Sequence[str]
+    suspended: str = ""
     adapts: bool = True
     profile: Profile | None = None
     election: Election | None = None
@@ -150,6 +152,7 @@ class SimulatedManager:
                 Estimates(robot, setup.profile, emulated=True),
                 samples,
                 adapts=setup.adapts,
+                suspended="" if self._is_standby else setup.suspended,
             )
             self.up_since = self.process.scheduler.now
             self.on_up()
