@@ -111,6 +111,18 @@ def test_shares_are_work_by_capacity_and_speed() -> None:
     assert report.due == pytest.approx(4 * 20 / PERIOD, rel=0.05)
 
 
+@pytest.mark.parametrize("seconds", [0.5, 1.0, 1.5])
+def test_the_last_second_counts_and_what_is_left_of_one(seconds: float) -> None:
+    plan = plan_of(camera=0.2)
+    report = rehearsed(
+        structs.replace(plan, robot=slow(plan.robot, a=(1.0, 1.0))), seconds
+    )
+    load = report.loads[0]
+    assert load.cpu == pytest.approx(0.2, rel=0.3)
+    assert load.peak >= load.cpu
+    assert [at for at, _ in load.over_time] == pytest.approx([1.0] * (seconds >= 1))
+
+
 @pytest.mark.slow
 def test_one_that_gets_too_little_misses_deadlines_and_is_moved() -> None:
     plan = plan_of(camera=0.05, filter=0.9, mind=0.9, arm=0.05)

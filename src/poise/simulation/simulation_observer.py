@@ -11,6 +11,7 @@ from poise.manage.migration.migration_report import MigrationReport
 from poise.manage.tasks.task_reports import OVER, TaskReport
 from poise.model.robot import Robot
 from poise.simulation.predicted_times import mean_of
+from poise.simulation.robot.simulated_process import SimulatedComputer
 from poise.simulation.robot.simulated_robot import SimulatedRobot
 from poise.simulation.simulation_report import (
     Outage,
@@ -79,16 +80,20 @@ class SimulationObserver:
 
     def loads(self) -> tuple[SimulatedLoad, ...]:
         """Return how busy each computer was."""
+        if self.now >= self._second - SAMPLE_EVERY:  # it is over but for rounding
+            self._second += _SECOND
+            self._note_loads()
         loads = []
         for name, computer in self._robot.computers.items():
             cores, series = computer.cpu.cores, self._loads[name]
+            mean = series.mean(self.now, self._used(computer))
             known = self._robot.robot.computer(name)
             loads.append(
                 SimulatedLoad(
                     computer=name,
                     capacity=cores,
-                    cpu=series.mean(),
-                    peak=series.peak,
+                    cpu=mean,
+                    peak=max(series.peak, mean),
                     memory=series.memory,
                     memory_capacity=known.capacity.get("memory"),
                     over_time=series.points(),
@@ -179,9 +184,12 @@ class SimulationObserver:
             at = container.process.computer.name
             memory[at] += sum(c.model.memory for c in container.components.values())
         for name, computer in self._robot.computers.items():
-            cpu = computer.cpu
-            share = cpu.used() / (cpu.cores * cpu.speed)
-            self._loads[name].add(self.now, share, memory[name])
+            self._loads[name].add(self.now, self._used(computer), memory[name])
+
+    def _used(self, computer: SimulatedComputer) -> float:
+        """Return what was used of a computer so far [s of all of it]."""
+        cpu = computer.cpu
+        return float(cpu.used() / (cpu.cores * cpu.speed))
 
     def _wanted(self) -> Desired | None:
         manager = self._robot.manager
@@ -333,12 +341,10 @@ class _LoadSeries:
         self._last = at, used
         self.memory = max(self.memory, memory)
 
-    def mean(self) -> float:
-        """Return the mean share."""
-        if self._first is None or self._last[0] == self._first[0]:
-            return 0.0
-        (began, before), (ended, after) = self._first, self._last
-        return (after - before) / (ended - began)
+    def mean(self, at: float, used: float) -> float:
+        """Return the mean share until a moment [s]; `used` as for `add`."""
+        began, before = self._first or (at, used)
+        return (used - before) / (at - began) if at > began else 0.0
 
     def points(self) -> tuple[tuple[float, float], ...]:
         """Return moments [s], and the mean share since the one before."""
