@@ -14,7 +14,7 @@ from poise.manage.journal import Journal
 from poise.manage.tasks.switch import LaterError, SlowStarts, prepare, switch
 from poise.model.robot import Robot
 from poise.wire.records.status_records import ComponentStatus, Fault
-from tests.manage.conftest import FakeAgents
+from tests.manage.conftest import FakeAgents, connector_names
 
 
 @pytest.fixture
@@ -60,6 +60,46 @@ def test_what_is_prepared_begins_as_it_is_there_and_anew_elsewhere(
     assert not switch(live, (), {"thinker": "left"})
     assert live.placed["thinker"].computer == "left"
     assert live.placed["thinker"].epoch > prepared.epoch
+
+
+def test_what_comes_to_rest_still_publishes_but_is_sent_nothing(
+    live: LiveRobot, agents: FakeAgents
+) -> None:
+    switch(live, (), {"filter": "left", "thinker": "right"})
+    agents.deployed.clear()
+    switch(live, ["filter"], {})
+    told = [each for computer, each in agents.deployed if computer == "left"]
+    assert [connector_names(each) for each in told] == [
+        {"eye": {"filter.clean-thinker.seen": "remote"}},
+        {"eye": {}},
+    ]
+
+
+def test_what_rests_amid_a_failed_switch_is_joined_to_nothing(
+    live: LiveRobot, agents: FakeAgents
+) -> None:
+    switch(live, (), {"filter": "left"})
+    agents.states["thinker"] = ComponentStatus(name="thinker", state="failed")
+    with pytest.raises(DoesNotStart):
+        switch(live, ["filter"], {"thinker": "right"})
+    assert live.prefetched["filter"].unjoined
+    agents.states["thinker"] = ComponentStatus(name="thinker", state="unconfigured")
+    switch(live, (), {"filter": "left"})
+    with pytest.raises(LaterError):
+        switch(live, ["filter"], {"thinker": "right"})
+    assert live.prefetched["filter"].unjoined
+
+
+def test_what_should_rest_may_be_at_work_until_its_agent_has_answered(
+    live: LiveRobot, agents: FakeAgents
+) -> None:
+    switch(live, (), {"filter": "left"})
+    switch(live, ["filter"], {})
+    assert not live.coming_to_rest()
+    agents.forget_status("left")
+    assert live.coming_to_rest() == [live.prefetched["filter"]]
+    agents.gone.add("left")
+    assert not live.coming_to_rest()
 
 
 def test_only_where_all_was_prepared_a_switch_was_prepared(live: LiveRobot) -> None:

@@ -322,6 +322,8 @@ class DeploymentLayout:
                 for target in by_name.get(second.component, ()):
                     if {source.goal, target.goal} == _STRANGERS:
                         continue
+                    if target.parting and not source.parting:
+                        continue
                     spec = self.joined(connector, source, target, gateways)
                     for home in {self._home(source): 1, self._home(target): 1}:
                         found.setdefault(home, []).append(spec)

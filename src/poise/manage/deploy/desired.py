@@ -34,6 +34,8 @@ class Incarnation(Struct, frozen=True, kw_only=True):
     gently: bool = False  # whether it is prepared with the CPU time that others leave
     # whether it has no connectors yet: the target of a migration that has not begun
     unjoined: bool = False
+    # whether it is idle from now on: what it publishes until it rests still goes out
+    parting: bool = False
     held: bool = False  # whether it is inactive only because `Desired.held` names it
     # the actions of tasks that it is to end, the last begun last: number and name
     actions: Mapping[int, str] = {}
@@ -170,6 +172,14 @@ class Desired(Struct, frozen=True, kw_only=True):
         """Return this with incarnations that are idle from now on."""
         new = {incarnation.component: incarnation for incarnation in incarnations}
         return replace(self, prefetched={**self.prefetched, **new})
+
+    def parted(self) -> Desired:
+        """Return this with connectors to nothing that is idle."""
+        idle = {
+            name: replace(each, unjoined=True, parting=False) if each.parting else each
+            for name, each in self.prefetched.items()
+        }
+        return replace(self, prefetched=idle)
 
     def aiming(self, goal: Goal, components: Collection[str]) -> Desired:
         """Return this with another goal for placed components."""

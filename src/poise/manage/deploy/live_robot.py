@@ -340,14 +340,14 @@ class LiveRobot(DesiredState):
         return next((c for c in components if c.key == wanted.key), None)
 
     def coming_to_rest(self) -> list[Incarnation]:
-        """Return what should be idle and is still active; from any thread."""
-        now = components_of(self.current())
-        active = {c.key for c in now if c.state == "active"}
-        away = self.agents.out_of_reach()
+        """Return what should be idle and may be active yet; from any thread."""
+        current, away = self.current(), self.agents.out_of_reach()
+        active = {c.key for c in components_of(current) if c.state == "active"}
         return [
             idle
             for idle in self.desired.prefetched.values()
-            if idle.key in active and idle.computer not in away
+            if idle.key in active
+            or not (idle.gently or idle.computer in current or idle.computer in away)
         ]
 
     def health_of(self, wanted: Incarnation) -> ContainerHealth | None:

@@ -79,11 +79,14 @@ class LaterError(RunError):
 def switch(live: LiveRobot, ends: Collection[str], begins: Mapping[str, str]) -> bool:
     """Let components rest, prepared, and others begin to work.
 
+    Until they rest, what they publish goes out, unless that takes longer than
+    `PATIENCE`.
+
     Returns whether all of these were prepared. Raises LaterError when they take long.
     """
     are_ready = _are_ready(live, begins)
     idle = [
-        replace(live.placed[name], goal="inactive", unjoined=True, gently=False)
+        replace(live.placed[name], goal="inactive", parting=True, gently=False)
         for name in ends
     ]
     new = [
@@ -95,19 +98,22 @@ def switch(live: LiveRobot, ends: Collection[str], begins: Mapping[str, str]) ->
         live.commit(desired.with_coming(new), "switch to the next action")
         _wait_until_configured(live, new)
         if not new:
+            live.commit(live.desired.parted(), "what the action needed rests")
             return are_ready
         live.end_left_behind(new)
         # what is at work on a computer that was joined meanwhile goes on
         active = [e.with_goal("active") for e in new if e.component not in live.placed]
-        live.commit(live.desired.with_coming(active), "activate the next action")
+        desired = live.desired.parted().with_coming(active)
+        live.commit(desired, "activate the next action")
         _wait(live, active, ACTIVE_LIMIT, until_loss=True)
     except LaterError as error:
         later = [replace(each, unjoined=True) for each in new]
-        desired = live.desired.with_coming(()).with_configured_ahead(later)
+        desired = live.desired.parted().with_coming(()).with_configured_ahead(later)
         live.commit(desired, f"all else goes on meanwhile: {error}")
         raise
     except RunError as error:
-        live.commit(live.desired.with_coming(()), f"it cannot begin: {error}")
+        desired = live.desired.parted().with_coming(())
+        live.commit(desired, f"it cannot begin: {error}")
         raise
     live.commit(live.desired.placing(active), "the next action is at work")
     return are_ready
