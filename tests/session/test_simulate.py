@@ -168,6 +168,28 @@ tasks: {work: {actions: [{name: do, functions: [seeing, hearing]}]}}
     assert [task.state for task in found.tasks] == ["going"]
 
 
+@pytest.mark.slow
+def test_a_choice_takes_the_step_for_which_the_robot_is_placed(tmp_path: Path) -> None:
+    file = tmp_path / "robot.yaml"
+    file.write_text("""
+robot: choosy
+computers: {one: {cpu: 1, memory: 1 GiB}}
+architectures:
+  see: {function: seeing, quality: 40%, components: {eye: {command: "true", cpu: 0.1}}}
+  hear: {function: hearing, components: {ear: {command: "true", cpu: 0.1}}}
+tasks:
+  work:
+    actions:
+      - choice:
+          - {name: look, functions: [seeing]}
+          - {name: listen, functions: [hearing]}
+""")
+    found = poise.simulate(poise.load(file), seconds=1.0)
+    assert found.placement == {"ear": "one"}
+    (task,) = found.tasks
+    assert [action.name for action in task.actions] == ["listen"]
+
+
 @pytest.mark.parametrize("seconds", [0.0, -1.0, float("inf"), float("nan")])
 def test_a_simulation_takes_time(seconds: float, hello: Robot) -> None:
     with pytest.raises(poise.UsageError, match="must last longer than 0 s"):

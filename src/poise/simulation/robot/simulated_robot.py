@@ -11,6 +11,7 @@ from msgspec.msgpack import encode
 from poise.clock import SystemClock, boot_time
 from poise.errors import PoiseError, TakenOver
 from poise.estimate.demands import kinds_together
+from poise.estimate.outcomes import WELL
 from poise.estimate.profiles import Profile
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.control_socket.commands import Command, Refusal, Result
@@ -20,6 +21,7 @@ from poise.manage.journal import Journal, JournalEntry
 from poise.manage.manager import TICK, Manager
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.sample_recording import Recording
+from poise.manage.tasks.component_reports import choose
 from poise.manage.tasks.concurrent_tasks import Tasks
 from poise.manage.tasks.saved_tasks import goes_on_with
 from poise.model.robot import Robot
@@ -135,7 +137,11 @@ class SimulatedManager:
             if not agents.wait_at_work(_MISSING_LIMIT):
                 agents.wait_alive(self._endpoints, _AGENT_LIMIT)
             placement = {} if self._is_standby else setup.placement
-            asked = Tasks(robot, lambda text: journal.note("decided", text))
+
+            def say(text: str) -> None:
+                journal.note("decided", text)
+
+            asked = Tasks(robot, say, lambda c, _: choose(robot, c, WELL, say))
             for name in () if self._is_standby else setup.tasks:
                 asked.start(name, boot_time())
             asked.arbitrate(boot_time())
