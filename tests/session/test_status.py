@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from io import StringIO
 
 import pytest
@@ -195,12 +196,16 @@ def test_says_what_computers_use_and_how_often_containers_restarted() -> None:
     answer = replace(answer, computers={"vision": agent})
     out = StringIO()
     Console(file=out, width=80).print(computer_table(answer))
-    row = out.getvalue().splitlines()[-1].split()
-    assert row == ["vision", "0.25", "cores", "3", "MiB", "1", "2"]
-    loads = {"vision": Load(capacity=4.0, used=1.0, background=0.7)}
-    busy = replace(answer, loads=loads, capacities={"vision": {"cpu": 4.0}})
-    Console(file=out, width=80).print(computer_table(busy))
-    assert "  0.95 cores, 0.70 by other programs  3 MiB  " in out.getvalue()
+    row = re.split("  +", out.getvalue().splitlines()[-1].strip())
+    assert row == ["vision", "0.25 cores by Poise alone", "3 MiB", "1", "2"]
+    for others, cpu in (
+        (0.7, "0.95 cores, 0.70 by other programs"),
+        (0.0, "0.25 cores"),
+    ):
+        loads = {"vision": Load(capacity=4.0, used=1.0, background=others)}
+        busy = replace(answer, loads=loads, capacities={"vision": {"cpu": 4.0}})
+        Console(file=out, width=80).print(computer_table(busy))
+        assert f"  {cpu}  3 MiB  " in out.getvalue()
     (line,) = container_lines(answer)
     assert line.startswith("container 'one' on 'vision': running since ")
     assert "2 restarts (counters began again then); last fault at " in line

@@ -34,8 +34,9 @@ SPAN = 3.0
 class ComputerRow(Struct, frozen=True):
     """A computer: `cpu` [cores] and `memory` [bytes] of their capacities.
 
-    Other programs count in `cpu`, not in `memory`. Both are None while it is not known
-    how it is; `age` is how old the last news is [s], if it is known.
+    Other programs count in `cpu`, where their use is known, not in `memory`. Both are
+    None while it is not known how it is; `age` is how old the last news is [s], if it
+    is known.
     """
 
     name: str
@@ -133,7 +134,7 @@ def _computers(status: Status) -> Iterator[ComputerRow]:
         is_known = agent is not None and name not in unknown
         yield ComputerRow(
             name,
-            agent.load + status.background(name) if agent and is_known else None,
+            agent.load + (status.background(name) or 0) if agent and is_known else None,
             capacity.get("cpu", 0.0),
             agent.memory if agent and is_known else None,
             capacity.get("memory", 0.0),

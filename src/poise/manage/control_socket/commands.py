@@ -205,11 +205,14 @@ class RobotStatus(Struct, frozen=True, tag=True, kw_only=True):
         named = {*self.computers, *self.capacities, *self.placement.values()}
         return (named | self.out_of_reach.keys()) - known
 
-    def background(self, computer: str) -> float:
-        """Return what other programs are known to use of a computer [its cores]."""
+    def background(self, computer: str) -> float | None:
+        """Return what other programs use of a computer [its cores], where it is known.
+
+        It is not in a robot's first second, and without a manager.
+        """
         load = self.loads.get(computer)
         if load is None or not load.capacity:
-            return 0.0
+            return None
         cores = self.capacities.get(computer, {}).get("cpu", 0.0)
         return load.background / load.capacity * cores
 

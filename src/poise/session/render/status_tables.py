@@ -147,9 +147,10 @@ def computer_table(answer: RobotStatus) -> Table:
         running = [h for h in computer.health if h.state != "stopped"]
         others = answer.background(name)
         by_others = f", {others:.2f} by other programs" if others else ""
+        by_others = " by Poise alone" if others is None else by_others
         rows.add_row(
             name,
-            f"{computer.load + others:.2f} cores{by_others}",
+            f"{computer.load + (others or 0):.2f} cores{by_others}",
             format_bytes(computer.memory),
             str(len(running)),
             str(sum(health.restarts for health in computer.health)),
