@@ -18,6 +18,7 @@ from poise.estimate.profiles import (
 )
 from poise.model.hardware import Link
 from poise.model.robot import Action, Chain, Robot, Task
+from poise.model.software import ConnectorEnd
 from poise.simulation.faults import SimulatedFault
 from poise.simulation.rehearsal import Rehearsal, RehearsalPlan
 from poise.simulation.simulation_observer import SimulationObserver
@@ -218,6 +219,19 @@ def test_the_same_seed_tells_the_same() -> None:
 def test_a_component_without_code_is_said_to_be_guessed() -> None:
     report = rehearsed(plan_of(), 1.0)
     assert any("the code of 'arm' is not known" in guess for guess in report.guesses)
+
+
+def test_an_action_that_its_component_ends_is_said_to_reach_its_limit() -> None:
+    plan = plan_of()
+    go, stay = (
+        Action(name=name, functions=("seeing",), limit=9.0, ends=ends)
+        for name, ends in (("go", ConnectorEnd("arm", "done")), ("stay", None))
+    )
+    tasks = (Task(name="work", actions=(go, stay)),)
+    robot = structs.replace(plan.robot, tasks=tasks)
+    first, *_ = rehearsed(structs.replace(plan, robot=robot), 0.1).guesses
+    assert first.startswith("no component says that 'go' is done")
+    assert not any("is done" in guess for guess in rehearsed(plan, 0.1).guesses)
 
 
 @pytest.mark.slow

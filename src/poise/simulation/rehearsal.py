@@ -12,6 +12,7 @@ from poise.errors import RunError
 from poise.estimate.profiles import ConnectorProfile
 from poise.manage.control_socket.commands import MoveCommand, Refusal, Result
 from poise.manage.migration.migration_report import MigrationReport
+from poise.model.steps import Action, steps_of
 from poise.simulation.choices import Choices
 from poise.simulation.faults import SimulatedFault, inject
 from poise.simulation.robot.simulated_robot import OUTSIDE, ManagedRobot, SimulatedRobot
@@ -63,6 +64,20 @@ class RehearsalPlan(ManagedRobot, frozen=True, kw_only=True):
     cores: Mapping[str, tuple[float, ...]] = {}
     bag: Mapping[str, ConnectorProfile] = {}
     seconds: float = 60.0
+
+
+def _without_ends(plan: RehearsalPlan) -> Iterator[str]:
+    """Yield which actions never end as their components would say."""
+    tasks = {task.name: task for task in plan.robot.tasks}
+    steps = (step for name in plan.tasks for step in steps_of(tasks, name))
+    names = dict.fromkeys(
+        f"'{s.name}'" for s in steps if isinstance(s, Action) and s.ends is not None
+    )
+    if names:
+        yield (
+            f"no component says that {' or '.join(names)} is done, as no code runs: "
+            "such an action goes on until its limit, and then fails"
+        )
 
 
 class Rehearsal:
@@ -156,7 +171,7 @@ class Rehearsal:
             calls=ledger.calls,
             failed_calls=ledger.failed_calls,
             tasks=observer.tasks(),
-            guesses=self._work.guesses,
+            guesses=(*_without_ends(plan), *self._work.guesses),
             violations=tuple(dict.fromkeys((*self._violations, *wrong))),
         )
 
