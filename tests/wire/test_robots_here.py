@@ -54,6 +54,20 @@ def test_the_folder_of_another_user_is_named_with_the_way_out(
         tmp_path.chmod(0o700)
 
 
+def test_nobody_answers_from_a_folder_that_another_user_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("XDG_RUNTIME_DIR", raising=False)
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    folder().mkdir()
+    assert not running_here()
+    user = os.getuid()
+    folder().rename(tmp_path / f"poise-{user + 1}")
+    monkeypatch.setattr(os, "getuid", lambda: user + 1)
+    with pytest.raises(RunError, match="another user's: set XDG_RUNTIME_DIR"):
+        running_here()
+
+
 def test_what_an_agent_keeps_stays_while_it_lives(tmp_path: Path) -> None:
     assert is_cleaned(tmp_path)
     AgentFolder(tmp_path)

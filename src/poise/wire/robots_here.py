@@ -45,14 +45,18 @@ def make_folder() -> Path:
     made = folder()
     made.mkdir(mode=0o700, parents=True, exist_ok=True)
     if made.stat().st_uid != os.getuid():
-        raise RunError(
-            f"{made} is another user's: set XDG_RUNTIME_DIR to a folder of yours"
-        )
+        raise _another_users(made)
     if _held and not os.path.samestat(os.fstat(_held[0]), made.stat()):
         os.close(_held.pop())
     if not _held:
         _held.append(hold(made))
     return made
+
+
+def _another_users(folder: Path) -> RunError:
+    return RunError(
+        f"{folder} is another user's: set XDG_RUNTIME_DIR to a folder of yours"
+    )
 
 
 _held: list[int] = []
@@ -82,8 +86,14 @@ def running_here() -> list[str]:
 
 
 def _files(ending: str) -> list[Path]:
-    """Return the files of the folder; RunError: it is another user's, as after `su`."""
+    """Return the files of the folder; RunError: it is another user's, as after `su`.
+
+    In /tmp anybody may have made it, and would answer in a manager's place.
+    """
     try:
+        is_named = os.environ.get("XDG_RUNTIME_DIR")
+        if not is_named and folder().stat().st_uid != os.getuid():
+            raise _another_users(folder())
         return sorted(path for path in folder().iterdir() if path.suffix == ending)
     except FileNotFoundError:
         return []
