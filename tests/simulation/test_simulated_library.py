@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 
-from poise.clock import boot_id
+from poise.clock import boot_id, time_of_day
 from poise.manage.tasks import saved_tasks, task_manager
 from poise.simulation import choices
 from poise.simulation.choices import Choices
@@ -56,6 +56,19 @@ def test_sleeps_and_clocks_are_virtual(run: Run) -> None:
     assert began == 50.0
     assert slept == pytest.approx(100.0, abs=1e-3)
     assert wall == pytest.approx(100.0, abs=1e-3)
+
+
+def test_the_time_of_day_is_the_same_in_each_time_zone(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else the same seed would not tell the same on another machine."""
+    monkeypatch.setenv("TZ", "Asia/Tokyo")
+    time.tzset()
+    try:
+        assert run(lambda: time_of_day(time.time())) == "00:00:00"
+    finally:
+        monkeypatch.undo()
+        time.tzset()
 
 
 def test_each_computer_knows_its_own_start(run: Run) -> None:

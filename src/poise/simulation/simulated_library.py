@@ -153,6 +153,7 @@ def _clocks(scheduler: Scheduler) -> list[Replaced]:
         (saved_tasks, "boot_id", boot_id),
         (task_manager, "boot_id", boot_id),
         (time, "time", wall),
+        (time, "localtime", time.gmtime),
         (time, "monotonic", monotonic),
         (time, "perf_counter", monotonic),
         (time, "process_time", lambda: 0.0),
