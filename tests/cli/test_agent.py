@@ -12,6 +12,8 @@ from typing import IO
 
 import pytest
 
+from poise.cli.agent_command import agent_command
+from poise.errors import UsageError
 from tests.command import POISE, Poise
 from tests.runtime.conftest import free_port
 from tests.waiting import LONG
@@ -153,6 +155,20 @@ def test_an_address_to_listen_on_is_an_ip_address(poise: Poise, address: str) ->
     assert done.returncode == 2
     assert f"{address}" in done.stderr
     assert "fd00::" in done.stderr
+
+
+def test_a_service_that_cannot_begin_is_not_begun_again_at_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    waits: list[float] = []
+    monkeypatch.setattr("time.sleep", waits.append)
+    monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
+    for _ in range(2):
+        with pytest.raises(UsageError, match="no keys for robot 'hello'"):
+            agent_command("left", "hello", "192.0.2.1")
+        monkeypatch.setenv("NOTIFY_SOCKET", "/run/nobody")
+    (wait,) = waits
+    assert 3.0 < wait <= 5.0
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ import os
 import re
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Annotated
@@ -32,6 +32,9 @@ from poise.wire.credentials import find, folders
 log = logging.getLogger(__name__)
 
 _LAST = 65535
+_BEFORE_NEXT = 5.0
+"""A service that ends sooner than this is not started again before [s]: each start
+takes half a second of a core."""
 
 
 def _name(of: typer.CallbackParam, text: str) -> str:
@@ -114,29 +117,30 @@ def agent_command(
 
     Example: poise agent main --robot t-rot --address 10.0.0.1
     """
-    account = Account.of(run_as) if run_as else None
-    if account is not None and folder is None:
-        folder = system_agent_folder(robot, computer)
-    place = folder or agent_folder(f"{robot} {computer} {Endpoint(address, port)}")
-    code = folder or state_folder() / robot / f"agent-{computer}"
-    _serve(
-        AgentSetup(
-            robot=robot,
-            computer=computer,
-            address=address,
-            port=port,
-            gateway=gateway,
-            code=str((code / "code").resolve()),
-            folder=str(place),
-            lifeline=lifeline,
-            session_timeout=session_timeout,
-            sample_every=parse_option("--sample-every", sample_every, SECONDS),
-            keys=keys_for(robot, computer, address, keys, is_insecure=insecure),
-            encrypts=not plain_connectors,
-            allow=allowed(address, allow),
-            account=account,
+    with _not_at_once_again():
+        account = Account.of(run_as) if run_as else None
+        if account is not None and folder is None:
+            folder = system_agent_folder(robot, computer)
+        place = folder or agent_folder(f"{robot} {computer} {Endpoint(address, port)}")
+        code = folder or state_folder() / robot / f"agent-{computer}"
+        _serve(
+            AgentSetup(
+                robot=robot,
+                computer=computer,
+                address=address,
+                port=port,
+                gateway=gateway,
+                code=str((code / "code").resolve()),
+                folder=str(place),
+                lifeline=lifeline,
+                session_timeout=session_timeout,
+                sample_every=parse_option("--sample-every", sample_every, SECONDS),
+                keys=keys_for(robot, computer, address, keys, is_insecure=insecure),
+                encrypts=not plain_connectors,
+                allow=allowed(address, allow),
+                account=account,
+            )
         )
-    )
 
 
 def witness_command(
@@ -172,6 +176,19 @@ def witness_command(
             is_witness=True,
         )
     )
+
+
+@contextlib.contextmanager
+def _not_at_once_again() -> Iterator[None]:
+    """As a service of systemd, wait before a start that fails is repeated."""
+    is_service = "NOTIFY_SOCKET" in os.environ  # the agent takes it out
+    since = time.monotonic()
+    try:
+        yield
+    except (PoiseError, typer.Exit):
+        if is_service:
+            time.sleep(max(0.0, since + _BEFORE_NEXT - time.monotonic()))
+        raise
 
 
 def _serve(setup: AgentSetup) -> None:
