@@ -284,3 +284,17 @@ def test_goes_on_when_no_descriptor_was_free(
         send_command(None, StopCommand())
     assert full.wait(LIMIT)
     assert send_command(None, StopCommand()) == StopReport()
+
+
+@pytest.mark.usefixtures("server")
+def test_a_client_for_which_no_descriptor_is_free_is_told(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The dashboard, say: it reads the robot again when one is free."""
+
+    def refuse(*_: object) -> None:
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    monkeypatch.setattr(socket, "socket", refuse)
+    with pytest.raises(RunError, match=r"looked for: .* Too many open files"):
+        send_command(None, StopCommand())

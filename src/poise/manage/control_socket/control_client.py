@@ -60,7 +60,10 @@ def send_command(robot: str | AgentAddresses | None, command: Command) -> Result
     another computer, an agent passes the command on, as soon as a standby leads if the
     manager is gone.
     """
-    where = _find(robot)
+    try:
+        where = _find(robot)
+    except OSError as error:  # no descriptor is free, say
+        raise RunError(f"no robot can be looked for: {error}") from error
     name = where.stem if isinstance(where, Path) else where.robot
     try:
         told = (
