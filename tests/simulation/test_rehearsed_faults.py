@@ -40,6 +40,18 @@ def test_what_is_killed_misses_no_deadlines_afterwards() -> None:
 
 
 @pytest.mark.slow
+def test_a_disk_is_full_until_the_last_fault_is_over() -> None:
+    long = SimulatedFault(0.5, "full disk", "left", lasts=5.0)
+    short = SimulatedFault(1.0, "full disk", "left", lasts=0.5)
+    with closing(Rehearsal(plan(long, short))) as rehearsal:
+        rehearsal.come_up()
+        rehearsal.advance(5.0)
+        assert rehearsal._robot.disks["left"].trouble()
+        rehearsal.advance(1.0)
+        assert not rehearsal._robot.disks["left"].trouble()
+
+
+@pytest.mark.slow
 def test_a_defect_before_the_robot_is_up_is_said(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -146,8 +146,8 @@ def _begin(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
             return lambda: setattr(disk, "delay", disk.delay - fault.lasts)
         case "full disk":
             disk = robot.disks[fault.target]
-            disk.is_full = True
-            return lambda: setattr(disk, "is_full", False)
+            disk.num_full += 1
+            return lambda: setattr(disk, "num_full", disk.num_full - 1)
         case "suspend computer":
             robot.computers[fault.target].suspend(fault.lasts)
         case "clog link":

@@ -336,13 +336,13 @@ class SimulatedDisk:
     """The `AgentDisk` of a simulated computer; it outlives its agents.
 
     `left`: what an agent has kept, as far as it was written before it was killed.
-    `is_full`: whether nothing can be written: a fault.
+    `num_full`: how many faults let nothing be written.
     `delay`: how long each write takes [s]: a fault makes it long.
     """
 
     def __init__(self, computer: SimulatedComputer) -> None:
         self.left = AgentState()
-        self.is_full = False
+        self.num_full = 0
         self.delay = 0.001
         self._computer = computer
         self._kept = self.left
@@ -377,7 +377,7 @@ class SimulatedDisk:
         """Write a checkpoint, or read output, of which there is none."""
         if isinstance(request, ReadOutput):
             reply(OutputLines())
-        elif self.is_full:
+        elif self.num_full:
             reply(Refused("it cannot use its folder: no space left on device"))
         else:
             self._process.after(self.delay, lambda: self._store(request))
@@ -407,10 +407,10 @@ class SimulatedDisk:
 
     def trouble(self) -> str:
         """Return what is wrong with it."""
-        return "no space left on device" if self.is_full else ""
+        return "no space left on device" if self.num_full else ""
 
     def _keep(self, state: AgentState) -> None:
-        if self.is_full:  # better nothing than what holds no more; it is tried again
+        if self.num_full:  # better nothing than what holds no more; it is tried again
             state = self._kept = AgentState()
         self.left = state
 
