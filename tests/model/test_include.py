@@ -117,6 +117,14 @@ def test_what_cannot_be_included_is_told_where_it_is_named(
     assert words in problem.message
 
 
+def test_what_may_be_in_a_file_that_cannot_be_included_is_not_missing(
+    tmp_path: Path,
+) -> None:
+    path = write(tmp_path, robot="include: [computer.yaml]\n")
+    (problem,) = problems(path)
+    assert problem.message == "include: 'computer.yaml' does not exist"
+
+
 def test_what_is_given_twice_is_told_with_the_first_place(tmp_path: Path) -> None:
     path = write(
         tmp_path,

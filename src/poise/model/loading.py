@@ -87,7 +87,10 @@ def load_source(
         raise RobotError(problems=[too_old])
     # Names of a file that could not be included would seem unknown.
     is_whole = not problems
-    values = validate(root, record_of(Robot), problems)
+    found: list[FileProblem] = []
+    values = validate(root, record_of(Robot), found)
+    # and a key of the robot that is missing may be there
+    problems += [p for p in found if is_whole or not p.message.startswith("the key '")]
     if values is None or not is_whole:
         raise RobotError(problems=sorted(problems))
     values["folder"] = folder = str(path.resolve().parent)
