@@ -81,6 +81,12 @@ def test_refuses_a_missing_key(refuse: Refuse) -> None:
             ["must be a list of 2", "not a list of 1"],
         ),
         (robot("tasks: {t: {▸actions: []}}"), ["at least 1"]),
+        (
+            robot(
+                "tasks: {t: {actions: [{name: a, functions: [], ▸on failure: redo}]}}"
+            ),
+            ["'redo' is not one of 'give up', nor a mapping with one of 'retry'"],
+        ),
         (robot("objective: {▸balance: .nan}"), ["'.nan' is not a number"]),
         (robot("objective: {weights: {▸cpu: .inf}}"), ["'.inf' is not a number"]),
         (

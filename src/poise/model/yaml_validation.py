@@ -198,7 +198,10 @@ def _union(node: Node, kind: types.UnionType, where: Where) -> Value:
     if None in members and _is_null(node):
         return None
     shape = type(node.value) if type(node.value) in members else next(iter(members))
-    return _value(node, members[shape], where)
+    member = members[shape]
+    if records and isinstance(member, types.LiteralType):
+        where = where.noted({"or": [_tag(record) for record in records]})
+    return _value(node, member, where)
 
 
 def _tagged(node: Node, kinds: Sequence[types.Type], where: Where) -> Value:
@@ -264,10 +267,12 @@ def _truth(text: str, _kind: types.BoolType, _notes: Notes) -> bool:
     return text == "true"
 
 
-def _choice(text: str, kind: types.LiteralType, _notes: Notes) -> str:
+def _choice(text: str, kind: types.LiteralType, notes: Notes) -> str:
     choices = [str(value) for value in kind.values]
     if text not in choices:
         likely = did_you_mean(text, choices)
+        if tags := notes.get("or"):
+            likely += f", nor a mapping with one of {listed(tags)}"
         raise ValueError(f"{quoted(text)} is not one of {listed(choices)}{likely}")
     return text
 
