@@ -18,6 +18,7 @@ from typing import Any, cast
 import pytest
 
 from poise.errors import RobotError, RunError, UsageError
+from poise.manage.control_socket import control_server
 from poise.manage.control_socket.commands import (
     Command,
     MoveCommand,
@@ -195,6 +196,25 @@ def test_a_silent_client_holds_up_nobody(server: ControlServer, folder: Path) ->
             client = stack.enter_context(socket.socket(socket.AF_UNIX))
             client.connect(str(folder / "first.sock"))
         assert send_command("first", StopCommand()) == StopReport()
+
+
+def test_commands_that_take_long_leave_room_for_a_stop(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(control_server, "MOST_OTHERS", 2)
+    manager, move = Manager(), MoveCommand("a", "left")
+    with ControlServer("first") as server, ThreadPoolExecutor() as pool:
+        server.start(manager.submit)
+        moves = [pool.submit(send_command, None, move) for _ in range(2)]
+        taken = [manager.taken.get(timeout=LIMIT) for _ in moves]
+        with pytest.raises(RunError, match="'first' has 2 commands under way"):
+            send_command(None, move)
+        stop = pool.submit(send_command, None, StopCommand())
+        taken.append(manager.taken.get(timeout=LIMIT))
+        for _, future in taken:
+            future.set_result(StopReport())
+        assert {each.result(LIMIT) for each in (*moves, stop)} == {StopReport()}
+    assert control_server.MOST_OTHERS < control_server.MOST_CLIENTS
 
 
 def test_clients_that_were_served_are_forgotten(

@@ -20,7 +20,14 @@ from typing import Self
 from poise import threads
 from poise.clock import time_of_day, wall_time
 from poise.errors import RunError, UsageError
-from poise.manage.control_socket.commands import Command, Refusal, Result, StatusCommand
+from poise.manage.control_socket.commands import (
+    Command,
+    RecordCommand,
+    Refusal,
+    Result,
+    StatusCommand,
+    StopCommand,
+)
 from poise.wire import frame
 from poise.wire.codec import Unreadable, WireError
 from poise.wire.robots_here import is_alive, make_folder, path_of
@@ -29,8 +36,12 @@ log = logging.getLogger(__name__)
 Submit = Callable[[Command], "Future[Result | Refusal]"]
 """Takes a command, from any thread, at once; its future may be cancelled."""
 
-MOST_CLIENTS = 64
+MOST_CLIENTS = 256
 """At most this many clients are served at a time; further ones wait to connect."""
+MOST_OTHERS = 224
+"""So many of them have commands that may take long, such as calls; more are refused:
+who waits for one asks for a status meanwhile, and takes the manager for dead without.
+"""
 _LOOK_EVERY = 0.1
 _START_PATIENCE = 1.0
 """A status waits for so long [s] for a robot that starts, or for the next leader."""
@@ -46,6 +57,7 @@ class ControlServer:
         self._path = path_of(robot)
         self._is_closed = threading.Event()
         self._free = threading.Semaphore(MOST_CLIENTS)
+        self._others = threading.Semaphore(MOST_OTHERS)
         self._threads: set[threading.Thread] = set()
         self._acceptor = threads.daemon(self._accept, "control", again=True)
         self._since = wall_time()
@@ -134,7 +146,15 @@ class ControlServer:
         except WireError as error:
             why = error.__cause__ or error
             return Refusal(f"robot '{self._robot}' knows no such command: {why}")
-        return self._result(connection, command)
+        if isinstance(command, RecordCommand | StopCommand):
+            return self._result(connection, command)
+        if not self._others.acquire(blocking=False):
+            text = f"robot '{self._robot}' has {MOST_OTHERS} commands under way"
+            return Refusal(f"{text}: ask again when some are done", "RunError")
+        try:
+            return self._result(connection, command)
+        finally:
+            self._others.release()
 
     def _result(
         self, connection: socket.socket, command: Command
