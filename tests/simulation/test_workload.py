@@ -303,6 +303,28 @@ def test_a_link_that_says_only_its_latency_is_as_quick_as_usual(robot: Robot) ->
     assert narrow.bandwidth == 1e6
 
 
+def test_a_timer_that_skipped_releases_sends_as_much_in_each_run(robot: Robot) -> None:
+    """Runs of 150 ms, due at 10 Hz, sent and called at 6.7 Hz: one each in each run."""
+    out = "filter.out-mind.seen"
+    profile = profile_of(robot, filter=0.2)
+    measured = profile.components["filter"]
+    tick = structs.replace(measured.timers["tick"], median=0.15)
+    known = structs.replace(measured, timers={"tick": tick})
+    profile = structs.replace(
+        profile,
+        components={**profile.components, "filter": known},
+        connectors={**profile.connectors, out: ConnectorProfile(messages=1 / 0.15)},
+    )
+    code = ComponentCode(
+        timers=(CodeTimer("tick", 0.1, None),), sends={"tick": ("out",)}
+    )
+    model = workload_of(structs.replace(robot, code={"filter": code}), profile).models[
+        "filter"
+    ]
+    (timer,) = model.timers
+    assert timer.handler.publishes == {out: 1.0}
+
+
 def test_says_that_a_profile_does_not_know_what_handlers_wait_for(robot: Robot) -> None:
     """An older Poise wrote how much CPU they take, and nothing of waits."""
     taken = HandlerProfile(mean=0.001, median=0.001, p99=0.002)

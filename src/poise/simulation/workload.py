@@ -216,7 +216,8 @@ def _code_of(robot: Robot, entry: ComponentEntry) -> tuple[ComponentCode | None,
 class _Rated(Struct):
     """A handler while it is put together: how often it runs, and what it sends.
 
-    `of` is its timer, or the port at which it takes or serves.
+    `of` is its timer, or the port at which it takes or serves. `rate` is how often it
+    is due [Hz]: it ran less often where its `time` for a run was longer [s].
     """
 
     of: str
@@ -228,9 +229,15 @@ class _Rated(Struct):
     joined: dict[str, float] = {}
     started: dict[str, float] = {}
     is_measured: bool = False
+    time: float = 0.0
     waiting: float = 0.0
     wait: float = 0.0
     wait_spread: float = 0.0
+
+    @property
+    def runs(self) -> float:
+        """How often it ran when it was measured [Hz]."""
+        return 1 / max(self.time, 1 / self.rate)
 
     def handler(self) -> HandlerModel:
         names = HandlerModel.__struct_fields__
@@ -344,6 +351,8 @@ class _ComponentWork:
             spread = min(spread, log(measured.p99 / measured.median) / _P99)
         work = measured.median * self._speed if measured else 0.0
         rated = _Rated(timer.name, 1 / timer.period, work, spread, {}, {})
+        if measured and not self._follows_device:
+            rated.time = measured.median
         self._take(rated, known.handlers.get(timer.name) if known else None)
         return rated
 
@@ -510,10 +519,10 @@ class _ComponentWork:
                     starts = self._code.starts if self._code else {}
                     waits = starts.get(calling.of, {}).get(port)
                     calls = {None: calling.calls, True: calling.joined}
-                    each = _each(over.calls / calling.rate)
+                    each = _each(over.calls / calling.runs)
                     calls.get(waits, calling.started)[slot] = each
                 if over.messages:  # one-way calls are sent like messages
-                    sending.publishes[slot] = _each(over.messages / sending.rate)
+                    sending.publishes[slot] = _each(over.messages / sending.runs)
 
 
 def _spread_of(median: float, p99: float) -> float:
@@ -523,10 +532,10 @@ def _spread_of(median: float, p99: float) -> float:
 
 def _share_rest(total: float, handlers: list[_Rated]) -> None:
     """Let what was not measured take the rest of the CPU; all, if everything was."""
-    rest = total - sum(handler.rate * handler.work for handler in handlers)
+    rest = total - sum(handler.runs * handler.work for handler in handlers)
     unknown = [handler for handler in handlers if not handler.is_measured] or handlers
     for handler in unknown:
-        handler.work += max(0.0, rest) / sum(other.rate for other in unknown)
+        handler.work += max(0.0, rest) / sum(other.runs for other in unknown)
 
 
 def _each(often: float) -> float:
