@@ -14,6 +14,7 @@ from msgspec import Meta
 from poise import Component, Message, Provided
 from poise.clock import SystemClock
 from poise.runtime.execution.counters import StatsPage, new_memory
+from poise.runtime.execution.exclusion import new_chain
 from poise.runtime.hosting.outside_requests import OutsideRequests
 from poise.runtime.hosting.runner import Runner
 from poise.wire.codec import pack
@@ -76,7 +77,11 @@ class Asked:
         return self.ask("burns", "burn", [[seconds], {}])
 
     def ask(self, port: str, method: str, value: object) -> PortAnswer:
-        request = PortRequest(
+        self._requests.take(self.request(port, method, value))
+        return self._answers.get(timeout=LIMIT)
+
+    def request(self, port: str, method: str, value: object) -> PortRequest:
+        return PortRequest(
             number=1,
             container="here",
             component="burner",
@@ -85,8 +90,11 @@ class Asked:
             value=pack(value),
             limit=LIMIT,
         )
-        self._requests.take(request)
-        return self._answers.get(timeout=LIMIT)
+
+    def ask_late(self, left: float) -> PortAnswer:
+        """Ask for something that others have kept waiting for all but what is left."""
+        request = self.request("burns", "burn", [[0.0], {}])
+        return self._requests._outcome(request, time.monotonic() + left)
 
     def close(self) -> None:
         self._requests.close()
@@ -136,6 +144,17 @@ def test_fields_that_a_message_inside_has_not_are_told(asked: Asked, name: str) 
     answer = asked.ask("burns", "draw", with_part(WRONG))
     assert answer.outcome == "refused"
     assert "Circle has no 'side'; it has 'radius'" in answer.reason
+
+
+def test_who_had_to_wait_for_others_is_told_for_how_long(asked: Asked) -> None:
+    asked.runner.exclusion.enter(new_chain(), LIMIT)
+    try:
+        answer = asked.ask_late(0.002)
+    finally:
+        asked.runner.exclusion.leave()
+    assert answer.outcome == "late"
+    assert answer.reason.startswith("component 'burner' was busy for ")
+    assert answer.reason.endswith(" s, after 20 s behind other requests from outside")
 
 
 def test_parameters_are_refused_by_whatever_a_hook_raises(asked: Asked) -> None:

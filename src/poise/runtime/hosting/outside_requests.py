@@ -51,6 +51,8 @@ _THREADS = 4
 _MOST_WAITING = 64
 """So many requests wait in a container; further ones are refused."""
 _LOOK_EVERY = 0.005
+_SHORT = 0.01
+"""Who waited less for its turn is told of it no more [s]."""
 
 
 class Away(Exception):
@@ -104,7 +106,7 @@ class OutsideRequests:
         self._answer(answer)
 
     def _outcome(self, request: PortRequest, until: float) -> PortAnswer:
-        number = request.number
+        number, waited = request.number, time.monotonic() - until + request.limit
         try:
             result = self._done(request, until)
         except CalleeError as error:
@@ -116,7 +118,10 @@ class OutsideRequests:
                 traceback=error.traceback,
             )
         except Timeout as error:
-            return PortAnswer(number=number, outcome="late", reason=str(error))
+            why = str(error)
+            if _SHORT < waited < request.limit:
+                why += f", after {waited:.3g} s behind other requests from outside"
+            return PortAnswer(number=number, outcome="late", reason=why)
         except Away as error:
             return PortAnswer(number=number, outcome="away", reason=str(error))
         except PoiseError as error:
