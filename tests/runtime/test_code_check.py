@@ -517,7 +517,7 @@ def test_a_policys_function_can_be_called(
 
 
 STARTING = """
-from poise import Component, Message, Published, Required, StartedCall, every
+from poise import Component, Message, Published, Required, StartedCall, every, subscribed
 
 class Pose(Message):
     x: float
@@ -554,6 +554,9 @@ class Starting(Component):
 
     def take(self, call: StartedCall[Pose]) -> None:
         self.found.publish(call.result())
+
+    @subscribed(block=3)
+    def heard(self, message: Pose) -> None: ...
 """
 
 
@@ -569,7 +572,9 @@ def test_the_code_says_which_calls_it_starts_and_whether_it_waits_for_them(
         "wait": ("left", "right", "told"),
         "look": ("found", "left"),
         "answer": ("found",),
+        "heard": (),
     }
+    assert (code.keep, code.blocks) == ({}, ("heard",))
     assert code.starts == {
         "go_on": {"left": False, "right": False},
         "wait": {"left": True, "right": True},

@@ -95,6 +95,17 @@ def test_a_source_whose_timer_waits_far_longer_than_it_computes_follows_a_device
     assert timer.handler.wait == (0.0 if follows else seconds)
 
 
+def test_what_waits_for_room_in_a_queue_follows_no_device(robot: Robot) -> None:
+    code = {"filter": ComponentCode(blocks=("raw",))}
+    profile = waiting(robot, "camera", 0.08)
+    work = workload_of(structs.replace(robot, code=code), profile)
+    model = work.models["camera"]
+    assert not model.follows_device
+    (timer,) = model.timers
+    assert timer.handler.wait == 0.08
+    assert any("waits for room in the queue" in guess for guess in work.guesses)
+
+
 @pytest.mark.parametrize("seconds", [0.08, 0.01])
 def test_who_takes_messages_waits_as_it_was_measured(
     robot: Robot, seconds: float

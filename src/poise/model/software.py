@@ -151,6 +151,7 @@ class ComponentCode(Struct, frozen=True, kw_only=True):
 
     timers: tuple[CodeTimer, ...] = ()
     keep: Mapping[str, int] = {}  # subscribed port -> how many messages wait at most
+    blocks: tuple[str, ...] = ()  # subscribed ports whose publishers wait for room
     # timer, subscribed or provided port, or "answer" for what takes those of started
     # calls -> the ports that its code may publish or call on
     sends: Mapping[str, tuple[str, ...]] = {}

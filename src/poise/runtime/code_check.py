@@ -149,6 +149,11 @@ def code_of(entry: ComponentEntry, folder: str) -> ComponentCode:
             for name, port in ports.items()
             if port.queue and port.queue.policy == "keep"
         },
+        blocks=tuple(
+            name
+            for name, port in ports.items()
+            if port.queue and port.queue.policy == "block"
+        ),
         sends={name: tuple(sorted(use.ports)) for name, use in uses.items()},
         starts={name: use.started() for name, use in uses.items() if use.started()},
         ports={name: port.kind for name, port in ports.items()},

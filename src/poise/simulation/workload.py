@@ -271,6 +271,16 @@ class _ComponentWork:
             for connector in robot.all_connectors()
             if connector.between[0].component == entry.name
         )
+        self._waits_for_room = False
+        for connector in robot.all_connectors():
+            source, end = connector.between
+            known = robot.code.get(end.component)
+            if source.component == entry.name and known and end.port in known.blocks:
+                self._waits_for_room = True
+                guess(
+                    f"'{source}' waits for room in the queue of '{end}' only as "
+                    "long as when it was profiled"
+                )
         timers = self._timers()
         self._follows_device = (
             bool(timers) and not any(self._coming()) and all(map(self._waits, timers))
@@ -391,7 +401,7 @@ class _ComponentWork:
         """Whether its runs take far longer than they compute, and call nobody."""
         run = self._known.timers.get(timer.name) if self._known else None
         taken = self._known.handlers.get(timer.name) if self._known else None
-        if run is None or taken is None or self._calls:
+        if run is None or taken is None or self._calls or self._waits_for_room:
             return False
         waited = run.median - taken.p99 / self._speed
         return waited > _WAITED * timer.period
