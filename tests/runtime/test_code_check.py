@@ -517,7 +517,8 @@ def test_a_policys_function_can_be_called(
 
 
 STARTING = """
-from poise import Component, Message, Published, Required, StartedCall, every, subscribed
+from poise import Component, Message, Published, Required, StartedCall
+from poise import every, subscribed
 
 class Pose(Message):
     x: float
