@@ -18,10 +18,12 @@ from poise.estimate.success_rates import (
     change_point,
     learned,
     rates,
+    with_success,
 )
 from poise.manage.journal import Journal
 from poise.model.loading import load
-from poise.model.robot import Robot
+from poise.model.robot import Robot, Task
+from poise.model.steps import Retry
 from poise.session.placing.first_phase import note_architectures
 from poise.session.placing.placement import place
 
@@ -63,6 +65,23 @@ def test_nothing_learned_changes_nothing(robot: Robot) -> None:
     assert learned(robot, robot.actions("tidy")).robot == robot
     assert place(robot, "tidy").architectures["grasping"] == "gripper"
     assert not (Path(robot.folder) / ".poise").exists()
+
+
+def test_phases_last_as_was_learned_of_actions_without_alternatives(
+    robot: Robot,
+) -> None:
+    """Two of three failed: 2/5. An outcome of two functions counts once."""
+    ways = [replace(a, on_failure=Retry(times=1)) for a in robot.actions("tidy")]
+    again = replace(robot, tasks=(Task(name="tidy", actions=tuple(ways)),))
+    (said,) = place(again, "tidy").task_result.problem.assumed[1:]
+    assert said == "pick succeeds every other time, as nothing is learned"
+    for ending in ("done", "failed", "failed"):
+        note_outcome(again, "pick", ending, ["guard", "gripper"])
+    known = place(again, "tidy").task_result.problem
+    assert known.assumed[1:] == ()
+    (phase,) = known.phases
+    assert phase.lasts == pytest.approx(30 * (1 + 3 / 5), rel=0.01)
+    assert with_success(robot, robot.actions("pack")).success == {}
 
 
 def test_an_outcome_changes_the_choice(robot: Robot) -> None:

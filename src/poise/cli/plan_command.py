@@ -24,7 +24,7 @@ from poise.cli.options import (
 )
 from poise.errors import UsageError, unknown
 from poise.estimate.outcomes import Conditions
-from poise.estimate.success_rates import learned
+from poise.estimate.success_rates import learned, with_success
 from poise.model import load
 from poise.model.robot import Computer, Robot
 from poise.session.placing.by_time import DecidedByTime
@@ -146,13 +146,13 @@ def plan_command(
         if robot is None:
             return None
         conditions = Conditions(lost=tuple(without or ()))
-        actions = robot.actions(task)
+        actions = tuple(robot.actions(task))
         believed = learned(
             robot, actions, conditions=conditions, explore=explore, seed=seed
         )
         for sentence in believed.says:
             say(sentence)
-        return believed.robot
+        return with_success(believed.robot, actions, conditions)
 
     def changed(problem: plan.Problem) -> plan.Problem:
         asked_about = changed_problem(

@@ -175,6 +175,31 @@ def learned(
     return Learned(replace(robot, architectures=tuple(changed)), tuple(says))
 
 
+def with_success(
+    robot: Robot, actions: Iterable[Action], conditions: Conditions = WELL
+) -> Robot:
+    """Return the robot with how often these actions succeed, where that was learned.
+
+    An outcome of an action is noted for all its functions: the one that succeeds least
+    often counts, with the best architecture for it.
+    """
+    actions = tuple(actions)
+    functions = dict.fromkeys(f for action in actions for f in action.functions)
+    noted = {function: outcomes_of(robot, function)[0] for function in functions}
+    success: dict[str, float] = {}
+    for action, function in ((a, f) for a in actions for f in a.functions):
+        known = rates(noted[function].get((action.name, conditions), []))
+        if not known:
+            continue
+        group = [a for a in robot.architectures if a.function == function]
+        of = [known.get((a.name, hash_of(a, robot.folders))) for a in group]
+        if any(of):
+            means = [(rate or SuccessRate()).mean for rate in of]
+            best = max((a.quality * m, m) for a, m in zip(group, means, strict=True))[1]
+            success[action.name] = min(best, success.get(action.name, best))
+    return replace(robot, success=success)
+
+
 def is_tried(robot: Robot, action: Action, conditions: Conditions) -> bool:
     """Return whether it is known how an action ended with what provides it now."""
     tried = {

@@ -56,22 +56,11 @@ def rounds_of(repeat: Repeat) -> int:
 def success_of(robot: Robot, action: Action) -> float:
     """Return how often an action is expected to succeed, in (0, 1].
 
-    As was learned of the best architectures for it; where nothing was, `SUCCESS` if the
-    task says what is done when it fails, else always.
+    As was learned; where nothing was, `SUCCESS` if the task says what is done when it
+    fails, else always.
     """
-    learned = _learned(robot, action)
-    if learned < 1:
-        return learned
-    return 1.0 if action.on_failure == "give up" else SUCCESS
-
-
-def _learned(robot: Robot, action: Action) -> float:
-    """Return the success that was learned, 1 where none was."""
-    return prod(
-        max((a.quality * a.success, a.success) for a in serving)[1]
-        for f in action.functions
-        if (serving := [a for a in robot.architectures if a.function == f])
-    )
+    unknown = 1.0 if action.on_failure == "give up" else SUCCESS
+    return robot.success.get(action.name, unknown)
 
 
 def promise_of(robot: Robot, action: Action) -> float:
@@ -112,7 +101,9 @@ def assumed(robot: Robot, task: str) -> Iterator[str]:
         whose = "every action" if len(timeless) == len(actions) else _listed(timeless)
         yield f"{whose} takes {SECONDS:g} s, as it has no limit"
     unknown = [
-        a.name for a in actions if a.on_failure != "give up" and _learned(robot, a) == 1
+        a.name
+        for a in actions
+        if a.on_failure != "give up" and a.name not in robot.success
     ]
     if unknown:
         yield f"{_listed(unknown)} succeeds every other time, as nothing is learned"

@@ -309,6 +309,8 @@ class Robot(Struct, frozen=True, kw_only=True):
     deployed: str = ""
     """The version of its code that its computers run; empty: what is in `folder`."""
     code: Mapping[str, ComponentCode] = {}
+    success: Mapping[str, float] = {}
+    """Action -> how often it succeeds, in (0, 1), where that was learned."""
 
     def components(self) -> Iterator[ComponentEntry]:
         """Return every component of every architecture."""

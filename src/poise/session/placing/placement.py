@@ -19,7 +19,7 @@ from rich.console import RenderableType
 from poise import plan
 from poise.errors import UsageError, unknown
 from poise.estimate.outcomes import WELL, Conditions
-from poise.estimate.success_rates import learned
+from poise.estimate.success_rates import learned, with_success
 from poise.model.robot import Robot
 from poise.plan.alternatives import needs
 from poise.plan.planner import SOLVERS
@@ -368,10 +368,11 @@ def place(  # noqa: PLR0913 - each is a choice of the user
     check_type("method", method, str, "the name of a method, such as auto")
     check_type("seed", seed, Integral, "a whole number")
     check_type("budget", budget, Real | None, "a number of seconds")
-    actions = robot.actions(task)
+    actions = tuple(robot.actions(task))
     robot = learned(
         robot, actions, conditions=conditions, explore=explore, seed=seed
     ).robot
+    robot = with_success(robot, actions, conditions)
     problem = problem_of_task(robot, task, at_once=at_once)
     solve = partial(
         plan.solve_phases, budget=budget, method=method, seed=seed, fewer=fewer
