@@ -494,8 +494,10 @@ def test_a_condition_is_about_a_timer_of_the_component(
     ("call", "message"),
     [
         ("deciding:decide", ""),
-        ("deciding:decides", "module 'deciding' has no function 'decides'"),
-        ("deciding:LIMIT", "'deciding:LIMIT' is not a function: 3"),
+        ("deciding:decides", "has no function 'decides' (did you mean 'decide'?)"),
+        ("deciding:LIMIT", "'deciding:LIMIT' is of type int, not a function"),
+        ("deciding:none", "'deciding:none' has to take one argument, as in `def none"),
+        ("deciding:number", ""),
         ("decidign:decide", "there is no module 'decidign'"),
     ],
 )
@@ -503,7 +505,8 @@ def test_a_policys_function_can_be_called(
     tmp_path: Path, call: str, message: str
 ) -> None:
     (tmp_path / "deciding.py").write_text(
-        "LIMIT = 3\ndef decide(seen): ...\n", encoding="utf-8"
+        "LIMIT, number = 3, int\ndef decide(seen): ...\ndef none(): ...\n",
+        encoding="utf-8",
     )
     file = tmp_path / "robot.yaml"
     file.write_text(

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import dis
 import inspect
-import operator
 import os
 import signal
 import subprocess
@@ -42,6 +41,7 @@ from poise.runtime.component.component import Component
 from poise.runtime.component.implementation import (
     find,
     find_for,
+    find_function,
     find_type,
     fingerprint,
     load_module,
@@ -227,15 +227,18 @@ def _check_functions(robot: Robot) -> Iterator[Finding]:
     for policy in robot.policies:
         if policy.call is None or policy.off:
             continue
-        module, _, name = policy.call.partition(":")
+        text = ""
         try:
-            function = operator.attrgetter(name)(load_module(module, robot.folder))
-            text = f"'{policy.call}' is not a function: {function!r}"
+            function = find_function(policy.call, robot.folder)
+            inspect.signature(function).bind("seen")
         except RobotError as error:
-            function, text = None, str(error)
-        except AttributeError:
-            function, text = None, f"module '{module}' has no function '{name}'"
-        if not callable(function):
+            text = str(error)
+        except TypeError:
+            name = policy.call.partition(":")[2]
+            text = f"'{policy.call}' has to take one argument, as in `def {name}(seen)`"
+        except ValueError:  # it has no signature
+            pass
+        if text:
             path = ("policies", policy.name, "call")
             yield Finding(path, f"policy '{policy.name}': {text}")
 
