@@ -24,6 +24,18 @@ def test_a_damaged_recording_is_refused_in_words(tmp_path: Path) -> None:
         inputs_of(path)
 
 
+def test_a_recording_of_which_one_bit_differs_is_not_read_as_another(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "it.mcap"
+    write_recording(path, "r", INPUTS)
+    read, whole = inputs_of(path), path.read_bytes()
+    for at in range(whole.index(b"\x28\xb5\x2f\xfd"), len(whole), 5):
+        path.write_bytes(whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :])
+        with contextlib.suppress(UsageError):
+            assert inputs_of(path) == read
+
+
 def test_nobody_else_can_read_a_recording(tmp_path: Path) -> None:
     path = tmp_path / "it.mcap"
     write_recording(path, "r", INPUTS)

@@ -41,6 +41,8 @@ _KEPT_FREE = 16 << 20
 """A disk with less room than this counts as full: what is begun must be ended
 [bytes]."""
 _LIBRARY = "poise"
+_MAGIC = b"\x89MCAP0\r\n"
+"""How a file begins, and ends once it was closed."""
 
 Schema = Mapping[str, Any]
 
@@ -332,11 +334,16 @@ def messages_of(path: Path, kind: str, type_: type[_Record]) -> Iterator[_Record
 def _records(path: Path) -> Iterator[McapRecord]:
     """Yield the records of a file; say when it was not ended."""
     reader, errors = extra("mcap.stream_reader"), extra("mcap.exceptions")
-    is_recording = False
+    is_recording, is_whole = False, False
     try:
         with path.open("rb") as file:
             size = os.fstat(file.fileno()).st_size
-            stream = reader.StreamReader(_Whole(file), record_size_limit=size)
+            file.seek(max(0, size - len(_MAGIC)))
+            is_whole = file.read() == _MAGIC
+            file.seek(0)
+            stream = reader.StreamReader(
+                _Whole(file), validate_crcs=True, record_size_limit=size
+            )
             for record in stream.records:
                 is_recording = True
                 yield record
@@ -348,13 +355,17 @@ def _records(path: Path) -> Iterator[McapRecord]:
             raise UsageError(
                 f"{path} is not a recording: it is not an MCAP file"
             ) from error
+        if is_whole:
+            why = str(error) or "it ends amid a record"
+            raise UsageError(f"{path} is damaged: {why}") from error
         log.warning(
             "the recording %s was not closed: its end is missing (of a robot that was "
             "killed, up to a second)",
             path,
         )
     except Exception as error:  # the library says what its libraries raise
-        raise UsageError(f"{path} is damaged: {error!r}") from error
+        why = f"{type(error).__name__}: {error}"
+        raise UsageError(f"{path} is damaged: {why}") from error
 
 
 class _Whole:
