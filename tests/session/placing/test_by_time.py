@@ -361,6 +361,21 @@ def test_a_chain_that_is_not_predicted_counts_what_it_takes_at_least(
     assert "not predicted: see, at least" in " ".join(str(found).split())
 
 
+def test_what_is_not_predicted_names_its_phase_and_each_reason_once(
+    placed: Place, tmp_path: Path
+) -> None:
+    placed(rate="0 Hz")
+    robot = load(tmp_path / "robot.yaml")
+    code = {c.name: code_of(c, robot.folder) for c in robot.components()}
+    (go,) = robot.actions("go")
+    tasks = (Task(name="go", actions=(go, replace(go, name="come"))),)
+    found = place(replace(robot, code=code, tasks=tasks), "go")
+    said = " ".join(str(found).split())
+    assert "not predicted in go: see, at least" in said
+    assert "not predicted in come: see, at least" in said
+    assert said.count("no profile was measured") == 1
+
+
 def test_says_which_timers_were_late_by_what_is_not_predicted(placed: Place) -> None:
     found = placed()
     late = f"'mind.think' missed 40% of its deadlines when it was profiled: {LEFT_OUT}"

@@ -63,11 +63,12 @@ def _chains(
     if rows.row_count:
         yield rows
         yield from (said for said in _guesses(times) if said in {NO_PROFILE, NO_WAITS})
+    told: set[str] = set()
     for name, predicted in times.items():
+        where = f" in {name}" if phase else ""
         for chain in predicted.chains:
             # the 99th percentile is a mean over robots, of which a few may be late
             if chain.margin < 0 or chain.late > _LATE:
-                where = f" in {name}" if phase else ""
                 yield _line(
                     f"chain '{chain.name}' misses its deadline{where}",
                     f"{chain.late:.0%} of its data is older than "
@@ -80,10 +81,11 @@ def _chains(
                 f"{each}, at least {units.format_seconds(least[each])} old"
                 for each in predicted.unknown
             )
+            why = "nothing is known to carry data to the end"
+            reasons = [why, *(g for g in predicted.guesses if g not in told)]
+            told.update(reasons)
             yield _line(
-                "not predicted",
-                f"{'; '.join(ages)}: nothing is known to carry data to the end. "
-                f"{'; '.join(predicted.guesses)}",
+                f"not predicted{where}", f"{'; '.join(ages)}: {'; '.join(reasons)}"
             )
         late = [
             f"{timer.component}.{timer.timer} {timer.late:.0%}"
@@ -91,7 +93,6 @@ def _chains(
             if timer.late >= _LATE
         ]
         if late:
-            where = f" in {name}" if phase else ""
             yield _line(f"predicted to miss deadlines{where}", ", ".join(late))
 
 
