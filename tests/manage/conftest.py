@@ -307,6 +307,8 @@ class FakeAgents:
         return reply
 
     def _obeyed(self, computer: str, deployment: Deployment) -> AgentStatus:
+        before = self._statuses.get(computer)
+        states = {c.key: c.state for c in before.components} if before else {}
         containers = tuple(
             ContainerStatus(
                 name=container.name,
@@ -317,7 +319,9 @@ class FakeAgents:
                         ComponentStatus(
                             name=c.name,
                             epoch=c.epoch,
-                            state="inactive" if c.goal == "stay" else c.goal,
+                            state=states.get((c.name, c.epoch), "inactive")
+                            if c.goal == "stay"
+                            else c.goal,
                         ),
                     )
                     for c in container.components
@@ -326,7 +330,6 @@ class FakeAgents:
             )
             for container in deployment.containers
         )
-        before = self._statuses.get(computer)
         return AgentStatus(
             computer=computer,
             pid=before.pid if before else 0,
