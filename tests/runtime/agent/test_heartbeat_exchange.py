@@ -14,7 +14,15 @@ from poise.runtime.agent.fence import Fence
 from poise.runtime.agent.heartbeat_exchange import HeartbeatExchange
 from poise.runtime.agent.standby_watch import StandbyWatch
 from poise.testing import VirtualClock
-from poise.wire.heartbeats import LEASE, UNCUT_LEASE, Address, Contacts, Hear, NextBeat
+from poise.wire.heartbeats import (
+    ASK_EVERY,
+    LEASE,
+    UNCUT_LEASE,
+    Address,
+    Contacts,
+    Hear,
+    NextBeat,
+)
 from poise.wire.records.heartbeat_records import MANAGER as THE_MANAGER
 from poise.wire.records.heartbeat_records import Echo, Heartbeat
 from poise.wire.records.request_records import Claim, Election, ManagerId, majority_at
@@ -32,16 +40,21 @@ def claim_of(
 
 
 class Transport:
-    """Sends nothing: a test lets heartbeats go out by itself."""
+    """Sends nothing: a test lets heartbeats go out by itself.
+
+    `targets`: whom it was to send to.
+    """
 
     def __init__(self, hear: Hear, next_beat: NextBeat) -> None:
         self.hear, self.next_beat = hear, next_beat
+        self.targets: Mapping[str, Address] = {}
+        self.num_starts = 0
 
     def start(self) -> None:
-        pass
+        self.num_starts += 1
 
     def send_to(self, targets: Mapping[str, Address]) -> None:
-        pass
+        self.targets = targets
 
     def close(self) -> None:
         pass
@@ -55,17 +68,30 @@ class Rig:
         self.clock.sleep(100.0)
         self.asleep = 0.0
         self.ends: list[float] = []
-        self.fence = Fence("robot", "left", lambda: None, lambda _: None)
+        self.woken = 0
+        self.fence = Fence("robot", "left", self._wake, lambda _: None)
         self.fence.claim(Claim(MANAGER), 1)
         self.exchange = HeartbeatExchange(
             "left",
             Contacts("robot", "left", "key"),
             self.fence,
             self.clock,
-            Transport,
+            self._transport,
             self.ends.append,
             lambda: self.asleep,
         )
+
+    def _wake(self) -> None:
+        self.woken += 1
+
+    def _transport(self, hear: Hear, next_beat: NextBeat) -> Transport:
+        self.sending = Transport(hear, next_beat)
+        return self.sending
+
+    def next(self, after: float = 0.1) -> tuple[Heartbeat, float]:
+        """Return the next heartbeat, and how long to wait for the one after [s]."""
+        self.clock.sleep(after)
+        return self.sending.next_beat()
 
     def beat(self, after: float) -> float:
         """Return until when components may act, from now [s]."""
@@ -149,8 +175,12 @@ def heard(
     sender: str = THE_MANAGER,
     confirmed: float | None = None,
     revoked: Mapping[str, int] = {},
-) -> None:
+    *,
+    key: str = "k",
+) -> bool:
     """Let the manager be heard, which has heard this agent, or another agent.
+
+    Returns whether it is answered at once.
 
     `confirmed`: when this agent sent what was heard last [s]; None: now.
     """
@@ -159,7 +189,7 @@ def heard(
     beat = Heartbeat(
         robot="robot",
         sender=sender,
-        key="k",
+        key=key,
         number=number,
         sent=now,
         heard={"left": Echo(last, 0.0)},
@@ -167,7 +197,7 @@ def heard(
         manager="k",
         revoked=revoked,
     )
-    rig.exchange._hear([(beat, ("127.0.0.1", 3), now)])
+    return rig.sending.hear([(beat, ("127.0.0.1", 3), now)])
 
 
 def test_a_manager_that_was_heard_a_moment_before_has_ended(rig: Rig) -> None:
@@ -395,3 +425,50 @@ def test_a_standby_waits_while_no_majority_would_confirm_it(rig: Rig) -> None:
         look(number, "far")
     world.standby.lead.assert_called()
     assert not watch.trouble
+
+
+def test_heartbeats_go_to_the_others_from_the_first_claim_on_and_to_the_last_manager(
+    rig: Rig,
+) -> None:
+    rig.exchange.begin("k", AGENTS, is_leased=True)
+    right, far, back = (("127.0.0.1", port) for port in (2, 4, 3))
+    assert rig.sending.targets == {"right": right}
+    heard(rig, 1)
+    assert rig.sending.targets == {"right": right, THE_MANAGER: back}
+    rig.exchange.begin("next", THREE, is_leased=True)
+    assert rig.sending.targets == {"right": right, "far": far}
+    assert not heard(rig, 2)  # by the one before
+    assert THE_MANAGER not in rig.sending.targets
+    assert heard(rig, 1, key="next")
+    assert rig.sending.num_starts == 1
+
+
+def test_the_manager_is_asked_for_a_sign_while_there_is_time_for_it(rig: Rig) -> None:
+    rig.exchange.begin("k", AGENTS, is_leased=True)
+    heard(rig, 1)
+    asked = []
+    for _ in range(5):
+        beat, pause = rig.next(0.11)
+        assert (pause == ASK_EVERY) == (beat.asks == (THE_MANAGER,))
+        asked.append(bool(beat.asks))
+    assert asked == [False, True, True, False, False]
+
+
+def test_knows_who_is_silent_and_for_how_long(rig: Rig) -> None:
+    rig.exchange.begin("k", THREE, is_leased=True)
+    heard(rig, 1, "far")
+    rig.next(0.3)
+    heard(rig, 1)
+    heard(rig, 1, "right")
+    rig.next(0.2)
+    last = {THE_MANAGER: 0.2, "right": 0.2, "far": 0.5}
+    assert rig.exchange.silent() == pytest.approx(last)
+    assert rig.exchange.silent_computers == {"far"}
+    woken = rig.woken
+    rig.next(0.1)
+    assert rig.woken == woken  # it was news once
+    heard(rig, 2, "far")
+    heard(rig, 2, "right")
+    rig.next(0.01)
+    assert rig.exchange.silent_computers == frozenset()
+    assert rig.woken == woken + 1
