@@ -608,6 +608,30 @@ def test_a_paused_task_rests_and_keeps_its_state() -> None:
     assert rig.run.placed["seeer"] == before
 
 
+def test_a_paused_task_goes_on_with_the_alternative_that_has_its_state() -> None:
+    """As after `poise replace`: the planner alone would take the better one."""
+    action = Action(name="a", functions=("see",))
+    robot = robot_with(task("t", action), linger=0.0)
+    lesser = Architecture(
+        name="lesser",
+        function="see",
+        quality=0.5,
+        components=(ComponentEntry(name="glancer", demand={"cpu": 0.1}),),
+    )
+    architectures = (*robot.architectures, lesser)
+    rig = Rig(replace(robot, architectures=architectures), "t")
+    assert rig.active() == {"seeer"}
+    replaced = rig.run.begun("glancer", "main")
+    desired = rig.run.desired.without(["seeer"]).placing([replaced])
+    rig.run.commit(desired, "it was replaced")
+    rig.manager.command("pause", "t")
+    rig.manager.advance()
+    assert (rig.active(), rig.resting()) == (set(), {"glancer"})
+    rig.manager.command("resume", "t")
+    assert rig.run.placed["glancer"].key == replaced.key
+    assert rig.active() == {"glancer"}
+
+
 def test_components_start_tasks_and_refusals_are_journalled() -> None:
     rig = Rig(robot_with(task("t", act("a", "see")), task("u", act("b", "go"))), "t")
     requests = [("start", "u"), ("start", "nap"), ("pause", "t")]

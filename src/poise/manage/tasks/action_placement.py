@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import suppress
 
@@ -232,6 +232,8 @@ class Admission:
             names = tuple(t.name for t in self._tasks.tries(record))
             functions = attempt.action.functions
             by_plan |= self._plans.placement(record.name, names, functions)
+            if attempt.progress.spent:
+                by_plan = self._with_resting(by_plan, functions)
         going = self._tasks.going()
         whole = self._beside(situation, going, left_out, by_plan)
         if not whole.why:
@@ -246,6 +248,24 @@ class Admission:
                 return whole
         self._end_or_block(going[0], whole.why)
         return whole
+
+    def _with_resting(
+        self, by_plan: Mapping[str, str], functions: Collection[str]
+    ) -> dict[str, str]:
+        """Return a plan with the alternatives that rest, and have the state."""
+        robot, idle = self._live.robot, self._live.prefetched
+        resting = {n: e.computer for n, e in idle.items() if not e.gently}
+        for function in functions:
+            others = by_plan.keys() & robot.components_for([function])
+            if others and others <= resting.keys():
+                continue
+            for architecture in robot.architectures:
+                names = {component.name for component in architecture.components}
+                if architecture.function == function and names <= resting.keys():
+                    kept = {n: at for n, at in by_plan.items() if n not in others}
+                    by_plan = {**kept, **{name: resting[name] for name in names}}
+                    break
+        return dict(by_plan)
 
     def _end_or_block(self, record: TaskRecord, why: str) -> None:
         """End the actions that do not fit though no other task runs."""
