@@ -250,6 +250,22 @@ def test_a_robot_runs_once() -> None:
         ControlServer("first")
 
 
+def test_a_manager_that_was_not_taken_over_takes_commands_again(
+    server: ControlServer, folder: Path
+) -> None:
+    server.start(answering(StopReport()))
+    with ControlServer("first", takes_over=True):
+        pass  # it failed before it led
+    assert send_command("first", StopCommand()) == StopReport()
+    with ControlServer("first", takes_over=True) as second:
+        second.start(answering(StopReport(("a container",))))
+        server.close()
+        answer = send_command("first", StopCommand())
+        assert [file.name for file in folder.iterdir()] == ["first.sock"]
+    assert answer == StopReport(("a container",))
+    assert list(folder.iterdir()) == []
+
+
 @pytest.mark.parametrize("runtime", ["/proc/nowhere", f"/tmp/{'long' * 30}"])
 def test_a_socket_that_cannot_be_had_says_where(
     runtime: str, monkeypatch: pytest.MonkeyPatch

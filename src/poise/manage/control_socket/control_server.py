@@ -50,11 +50,16 @@ _CLOSE_LIMIT = 2.0
 
 
 class ControlServer:
-    """The control socket of a robot. Use it as a context manager."""
+    """The control socket of a robot. Use it as a context manager.
+
+    `takes_over`: in place of another manager's, which is there again if this one closes
+    before it has started.
+    """
 
     def __init__(self, robot: str, *, takes_over: bool = False) -> None:
         self._robot = robot
         self._path = path_of(robot)
+        self._former = self._path.with_suffix(".former")
         self._is_closed = threading.Event()
         self._free = threading.Semaphore(MOST_CLIENTS)
         self._others = threading.Semaphore(MOST_OTHERS)
@@ -84,12 +89,13 @@ class ControlServer:
         """Carry out commands from now on; all but statuses have waited for that."""
         self._submit = submit
         self._is_up.set()
+        self._former.unlink(missing_ok=True)
 
     def close(self) -> None:
         """Serve no more clients, and let those that have their result take it."""
         try:
             if self._path.stat().st_ino == self._inode:  # else it is a successor's
-                self._path.unlink()
+                self._give_back()
         except FileNotFoundError:
             pass
         except OSError as error:  # the next manager replaces it
@@ -113,6 +119,17 @@ class ControlServer:
         for left in folder.glob("*.sock"):  # by managers that were killed
             if not is_alive(left):
                 left.unlink(missing_ok=True)
+        self._former.unlink(missing_ok=True)
+        with contextlib.suppress(FileNotFoundError):
+            self._former.hardlink_to(self._path)
+
+    def _give_back(self) -> None:
+        """Remove the socket; that of a manager which was not replaced comes back."""
+        if not self._is_up.is_set() and is_alive(self._former):
+            self._former.rename(self._path)
+        else:
+            self._path.unlink()
+            self._former.unlink(missing_ok=True)
 
     def _accept(self) -> None:
         while not self._is_closed.is_set():
