@@ -26,6 +26,7 @@ from poise.manage.observe.prometheus import (
     MetricsServer,
 )
 from poise.manage.observe.sample_recording import Recording
+from poise.manage.tasks.task_reports import TaskReport, TaskState
 from poise.model.robot import Robot
 from poise.wire.recording_file import samples_of
 from poise.wire.records.status_records import (
@@ -269,10 +270,24 @@ def test_tells_prometheus_what_is_wrong(robot: Robot) -> None:
     )
     known = status_of(Estimates(robot, None, emulated=True), {"a": agent})
     wrong = Deviation(what="container 'x' runs on 'a'", computer="a", since=0.0)
+    states: tuple[tuple[str, TaskState], ...] = (
+        ("go", "failed"),
+        ("go", "done"),
+        ("say", "failed"),
+    )
+    tasks = tuple(
+        TaskReport(name=name, state=state, priority=0, why="", began=0.0, since=0.0)
+        for name, state in states
+    )
     text = to_prometheus(
-        msgspec.structs.replace(known, out_of_reach={"b": 1.0}, deviations=(wrong,))
+        msgspec.structs.replace(
+            known, out_of_reach={"b": 1.0}, deviations=(wrong,), tasks=tasks
+        )
     )
     for line in (
+        'poise_task_state{state="failed",task="go"} 0.0',
+        'poise_task_state{state="done",task="go"} 1.0',
+        'poise_task_state{state="failed",task="say"} 1.0',
         'poise_deviations{computer="a"} 1.0',
         'poise_deviations{computer="b"} 0.0',
         'poise_computer_lost{computer="a"} 0.0',

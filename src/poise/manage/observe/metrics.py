@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from typing import Literal
+from typing import Literal, get_args
 
 from poise.manage.agent_connections.statuses import connectors_of, located
 from poise.manage.control_socket.commands import RobotStatus
+from poise.manage.tasks.task_reports import TaskState
 from poise.wire.records.status_records import ComponentStatus, ConnectorStatus, Summary
 
 Sample = tuple[str, Mapping[str, str], float]
@@ -16,6 +17,7 @@ Sample = tuple[str, Mapping[str, str], float]
 METRICS = {
     "poise_deviations": "How much of a computer is not as the robot file wants it",
     "poise_computer_lost": "1 while a computer is out of reach, else 0",
+    "poise_task_state": "1 for the state of a task, as it was started last; else 0",
     "poise_timer_releases_total": "How often a timer was due",
     "poise_timer_missed_total": "Of these, ended after the deadline or skipped",
     "poise_component_cpu_cores": "Mean CPU that a component needs, of the reference "
@@ -72,6 +74,9 @@ def samples(robot: RobotStatus) -> Iterator[Sample]:
         yield "poise_computer_lost", {"computer": computer}, int(is_lost)
     for computer in sorted(computers | deviations.keys()):
         yield "poise_deviations", {"computer": computer}, deviations[computer]
+    for task, now in {report.name: report.state for report in robot.tasks}.items():
+        for state in get_args(TaskState):
+            yield "poise_task_state", {"task": task, "state": state}, int(state == now)
     yield from _demand_samples(robot)
     yield from _traffic_samples(robot)
     for computer, component in located(robot.computers):
