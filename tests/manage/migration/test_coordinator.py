@@ -187,7 +187,10 @@ def test_a_pause_that_lasts_too_long_is_ended_before_its_next_round(
     assert agents.steps().count("pause") == 1
 
 
-@pytest.mark.parametrize(("times", "said"), [(3, []), (1000, ["'grabber' may still"])])
+MAY_SEND = "'grabber' may still send to the earlier place"
+
+
+@pytest.mark.parametrize(("times", "said"), [(3, []), (1000, [MAY_SEND])])
 def test_after_the_commit_nothing_undoes_it_and_the_source_waits_for_senders(
     live: LiveRobot, agents: MovingAgents, times: int, said: list[str]
 ) -> None:
@@ -196,8 +199,8 @@ def test_after_the_commit_nothing_undoes_it_and_the_source_waits_for_senders(
     assert "roll back" not in agents.steps()
     assert min(times + 1, 26) <= agents.steps().count("release to targets") < 30
     assert agents.steps().count("resume") == 1
-    known = ["no release to targe", "no resume"]
-    assert sorted(what[:19] for what in failures(live)) == sorted([*known, *said])
+    known = {"no release to targets", "no resume"}
+    assert set(failures(live)) == {*known, *said}
     assert agents.deployments("left")[-1] == "filter ends"
 
 

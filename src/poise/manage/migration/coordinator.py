@@ -241,7 +241,9 @@ class Migration:
             unanswered = self._tell_all(unanswered)
             time.sleep(LINGER)
         if unanswered:
-            self._note_failure(f"{_names(unanswered)} may still call its earlier place")
+            self._note_failure(
+                f"{_names(unanswered)} may still send to the earlier place"
+            )
 
     def _send_round(
         self,
