@@ -320,6 +320,8 @@ def test_a_task_that_finds_no_room_waits_for_the_one_that_is_at_work() -> None:
     rig = Rig(robot_with(first, task("second", act("b", "say"))), "first", "second")
     assert rig.active() == {"seeer", "goer"}
     assert rig.states()["second"][0] == "waiting"
+    report = rig.manager.report("second")  # what it waits to begin does not come next
+    assert ([each.name for each in report.actions], report.next) == (["b"], ())
     said = len(rig.said())
     for _ in range(3):
         rig.manager.advance()

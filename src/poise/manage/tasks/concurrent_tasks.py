@@ -367,7 +367,11 @@ def task_reports(
                 )
                 for attempt in tasks.tries(record)
             ),
-            next=tuple(attempt.name for of, attempt, _ in upcoming if of is record),
+            next=tuple(  # of one that waits, its own actions come next
+                attempt.name
+                for of, attempt, _ in upcoming
+                if of is record and record.state == "going"
+            ),
         )
         for record in list(tasks.records)
     )
