@@ -10,7 +10,7 @@ import pytest
 from msgspec import structs
 from msgspec.msgpack import encode
 
-from poise.errors import RunError, TakenOver, UsageError
+from poise.errors import AlreadyManaged, RunError, TakenOver, UsageError
 from poise.estimate.code_version import version_of
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.deploy.deployment_layout import DeploymentLayout
@@ -137,6 +137,32 @@ def test_parameters_of_what_does_not_run_are_kept_by_each_next_manager(
     assert run.desired.parameters == parameters
     _, told = agents.deployed[-1]
     assert newest_record([told]).parameters == parameters
+
+
+@pytest.mark.parametrize("votes", [False, True])
+@pytest.mark.parametrize("by_force", [False, True])
+@pytest.mark.parametrize("kind", [RunError, AlreadyManaged])
+def test_only_who_may_take_over_is_told_to(
+    robot: Robot,
+    monkeypatch: pytest.MonkeyPatch,
+    kind: type[RunError],
+    *,
+    by_force: bool,
+    votes: bool,
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise kind("so it is")
+
+    run, agents, _ = run_of(robot, *LEFT)
+    if votes:
+        agents.vote(Deployment(generation=6, containers=()))
+    monkeypatch.setattr(agents, "claim", refuse)
+    monkeypatch.setattr(agents, "elect", refuse)
+    with pytest.raises(kind) as told:
+        start_or_take_over(run, by_force=by_force)
+    may = kind is AlreadyManaged and not by_force
+    way_out = "; `poise stop` ends the robot, and `poise up --take-over` takes it over"
+    assert str(told.value) == f"so it is{way_out if may else ''}"
 
 
 def test_what_was_replaced_begins_again_with_its_other_code(robot: Robot) -> None:

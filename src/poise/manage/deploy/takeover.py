@@ -9,7 +9,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from msgspec import structs
 
 from poise.decoding import from_msgpack
-from poise.errors import PoiseError, RobotError, RunError, TakenOver
+from poise.errors import AlreadyManaged, PoiseError, RobotError, RunError, TakenOver
 from poise.manage.adaptation.situation import Situation
 from poise.manage.agent_connections.reports import LOOK_EVERY
 from poise.manage.deploy.adoption import (
@@ -63,8 +63,8 @@ def start_or_take_over(
     if live.agents.election is None:
         deployments, unclaimed = _claim(live, by_force=by_force)
     else:
-        hint = "" if follows else f"; {_TAKE_OVER}"
-        deployments, unclaimed = _elected(live, hint, by_force=by_force), {}
+        deployments = _elected(live, follows=follows, by_force=by_force)
+        unclaimed = {}
     record = newest_record(deployments.values())
     found = [*found_in(deployments), *_recorded(live, record)]
     reported = found
@@ -203,7 +203,9 @@ def newest_record(deployments: Iterable[Deployment]) -> Desired:
     return from_msgpack(last.desired, Desired)
 
 
-def _elected(live: LiveRobot, hint: str, *, by_force: bool) -> dict[str, Deployment]:
+def _elected(
+    live: LiveRobot, *, follows: bool, by_force: bool
+) -> dict[str, Deployment]:
     """Become the leader; return what the agents that voted for it work towards.
 
     What others run has surely stopped then. Of what agents work towards, only that
@@ -213,6 +215,7 @@ def _elected(live: LiveRobot, hint: str, *, by_force: bool) -> dict[str, Deploym
         answers = live.agents.elect(take_over=by_force)
     except RunError as error:
         live.leave()
+        hint = "" if follows or by_force else _way_out_of(error)
         raise type(error)(f"{error}{hint}") from None
     live.claimed |= answers.keys()
     away = {computer.name for computer in live.robot.computers} - answers.keys()
@@ -230,6 +233,11 @@ def _elected(live: LiveRobot, hint: str, *, by_force: bool) -> dict[str, Deploym
             live.clock.sleep(_LOOK_EVERY)
     known = {each.key for each in record.incarnations()}
     return {name: _with_only(known, each) for name, each in found.items()}
+
+
+def _way_out_of(error: RunError) -> str:
+    """Return what a person can do whom agents refused, as they obey another manager."""
+    return f"; {_TAKE_OVER}" if isinstance(error, AlreadyManaged) else ""
 
 
 def _at_work_elsewhere(live: LiveRobot, away: Collection[str]) -> dict[str, str]:
@@ -507,7 +515,7 @@ def _claim(
     """
     deployments: dict[str, Deployment] = {}
     unclaimed: dict[str, str] = {}
-    kind = RunError
+    first = RunError()
     computers = sorted(live.computers())
     for computer in computers:
         try:
@@ -515,13 +523,14 @@ def _claim(
         except RunError as error:
             unclaimed[computer] = str(error)
             if computer == computers[0] and computer in live.computers():
-                kind = type(error)
+                first = error
                 break  # another manager has the robot
         else:
             live.claimed.add(computer)
     if computers and computers[0] in unclaimed and not deployments:
         live.leave()
-        raise kind(f"{unclaimed[computers[0]]}; {_TAKE_OVER}")
+        hint = "" if by_force else _way_out_of(first)
+        raise type(first)(f"{unclaimed[computers[0]]}{hint}")
     return deployments, unclaimed
 
 
