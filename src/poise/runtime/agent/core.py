@@ -99,7 +99,9 @@ class AgentCore:
         if left.wanted is not None:
             self.supervisor.deploy(left.wanted, is_left=True)
             self._keep_only(left.wanted)
-        self._pending = PendingRequests(self.supervisor.processes)
+        self._pending = PendingRequests(
+            self.supervisor.processes, self.supervisor.health.how_ended
+        )
         self.fence = Fence(
             setup.robot,
             setup.computer,

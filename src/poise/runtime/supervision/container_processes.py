@@ -262,8 +262,13 @@ class PendingRequests:
     Steps of migrations, taps, and calls and messages from outside.
     """
 
-    def __init__(self, processes: Mapping[str, ContainerProcess]) -> None:
+    def __init__(
+        self,
+        processes: Mapping[str, ContainerProcess],
+        how_ended: Callable[[str], str],
+    ) -> None:
         self._processes = processes
+        self._how_ended = how_ended
         self._pending: dict[int, _Pending] = {}
 
     def pass_on(self, request: ContainerRequest, reply: Reply, now: float) -> None:
@@ -307,8 +312,10 @@ class PendingRequests:
         for pending in list(self._pending.values()):
             container = pending.request.container
             process = self._processes.get(container)
-            if process is None or process.is_deaf:
-                reason = f"container '{container}' ended"
+            if process is None:
+                reason = f"container '{container}' {self._how_ended(container)}"
+            elif process.is_deaf and now < pending.limit:
+                continue  # how it ended is heard next
             elif process.is_stuck():
                 reason = _why_silent(process)
             elif now >= pending.limit:

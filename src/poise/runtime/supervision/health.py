@@ -120,6 +120,13 @@ class HealthRecords:
         elif known is not None:
             self.enter(container, "stopped")
 
+    def how_ended(self, container: str) -> str:
+        """Return how a container ended that is not started again yet, for people."""
+        known = self._of.get(container)
+        if known is None or known.state != "restarting" or known.last_fault is None:
+            return "ended"
+        return known.last_fault.message
+
     def faults(self) -> tuple[Fault, ...]:
         """Return the latest faults, oldest first."""
         return tuple(self._faults)
