@@ -38,3 +38,8 @@ def test_a_link_has_two_ends() -> None:
 def test_what_loses_datagrams_everywhere_names_no_computer() -> None:
     fault = SimulatedFault(at=1.0, kind="lose datagrams", target="a", lasts=2.0)
     assert str(fault) == "1.00 s: lose datagrams everywhere for 2.00 s"
+
+
+def test_of_what_is_over_at_once_nothing_says_how_long() -> None:
+    fault = SimulatedFault(at=1.0, kind="kill container", target="a")
+    assert str(fault) == "1.00 s: kill container a"

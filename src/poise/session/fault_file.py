@@ -24,6 +24,7 @@ from poise.simulation.faults import (
     ANYWHERE,
     KINDS,
     LINK_KINDS,
+    TIMELESS,
     SimulatedFault,
     SimulatedFaultKind,
     plan_faults,
@@ -65,15 +66,8 @@ Faults: TypeAlias = Sequence[SimulatedFault] | str | PathLike[str]
 RANDOM = "random"
 _LONGEST_PAUSE, _FEWEST = 300.0, 6
 """The seed picks a fault every five minutes, or about six in a short simulation."""
-_TIMELESS: tuple[SimulatedFaultKind, ...] = (
-    "kill container",
-    "step wall clock",
-    "another manager",
-    "take over",
-)
-"""These are over at once: `for` says nothing about them."""
 _AT_ONCE = 1.0
-"""What such a fault has instead [s]."""
+"""What a fault without `for` has instead [s]."""
 _KEYS: Mapping[str, KeyPath] = {"target": ("computer",), "lasts": ("for",)}
 
 
@@ -165,9 +159,9 @@ def _shape(keys: FaultKeys) -> Iterator[tuple[KeyPath, str]]:
             yield (), f"'{kind}' lacks the key '{key}': write `{key}: {example}`"
         if not is_wanted and given[key] is not None:
             yield (key,), f"'{kind}' takes no '{key}'"
-    if kind in _TIMELESS and keys.lasts is not None:
+    if kind in TIMELESS and keys.lasts is not None:
         yield ("for",), f"'{kind}' takes no 'for': it is over at once"
-    if kind not in _TIMELESS and keys.lasts is None:
+    if kind not in TIMELESS and keys.lasts is None:
         yield (), f"'{kind}' lacks the key 'for': write how long, as in `for: 30 s`"
 
 

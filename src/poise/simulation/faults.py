@@ -44,6 +44,13 @@ LINK_KINDS: tuple[SimulatedFaultKind, ...] = ("cut link", "cut one way", "clog l
 """Those that happen between two computers."""
 ANYWHERE: tuple[SimulatedFaultKind, ...] = ("lose datagrams",)
 """These are about no computer of their own."""
+TIMELESS: tuple[SimulatedFaultKind, ...] = (
+    "kill container",
+    "step wall clock",
+    "another manager",
+    "take over",
+)
+"""These are over at once: `lasts` says nothing about them."""
 _ALLOWED = 0.4
 """Each kind is allowed in this share of runs."""
 _MEAN_PAUSE = 4.0
@@ -73,7 +80,8 @@ class SimulatedFault(Struct, frozen=True):
     def __str__(self) -> str:
         where = f"{self.target}-{self.other}" if self.other else self.target
         where = "everywhere" if self.kind in ANYWHERE else where
-        return f"{self.at:.2f} s: {self.kind} {where} for {self.lasts:.2f} s"
+        lasts = "" if self.kind in TIMELESS else f" for {self.lasts:.2f} s"
+        return f"{self.at:.2f} s: {self.kind} {where}{lasts}"
 
 
 def plan_faults(
