@@ -7,9 +7,11 @@ from pathlib import Path
 import pytest
 
 import poise
-from poise.errors import UsageError
+from poise.errors import RunError, UsageError
+from poise.manage.observe.sample_recording import RecordingFile
 from poise.model.robot import Robot
 from poise.session.record_run import keeping, new_recording
+from poise.wire.records.status_records import AgentSample
 
 
 def test_the_recording_before_stays_beside_the_new_one(tmp_path: Path) -> None:
@@ -27,6 +29,21 @@ def test_a_run_keeps_the_recording_before_too(tmp_path: Path) -> None:
     with keeping(Robot(name="r"), (), path, lambda _: None):
         pass
     assert (tmp_path / "run-before.mcap").read_bytes() == b"the only one"
+
+
+def test_what_a_run_could_not_record_is_known_when_it_is_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def write(*_: object) -> None:
+        raise RunError("the disk is full")
+
+    monkeypatch.setattr(RecordingFile, "write", write)
+    path, said = tmp_path / "run.mcap", list[str]()
+    with keeping(Robot(name="r"), (), path, said.append) as kept:
+        assert kept.recorder is not None
+        kept.recorder.add(AgentSample("left", 1.0, 0.0, ()))
+    assert kept.lacks.endswith("the disk is full, and so far lacks 1 record")
+    assert kept.lacks in said[0]
 
 
 def test_one_that_cannot_be_renamed_is_an_error(tmp_path: Path) -> None:

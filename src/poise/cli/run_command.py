@@ -80,7 +80,8 @@ def run_command(
 
     What --record keeps can be the `workload` on which `poise profile` measures;
     `poise recording` reads it. The exit code is 1 when a component raised or hung, a
-    message was refused, a container ended, the task failed, or the run is invalid.
+    message was refused, a container ended, the task failed, the run is invalid, or
+    not all could be recorded.
 
     Example: poise run robot.yaml --task fetch --for 20s
     """
@@ -121,6 +122,7 @@ def run_command(
             sys.stdout.write(text.decode() + "\n")
         else:
             console.print(result)
+    is_kept = is_kept and not result.unrecorded
     if result.invalid or not is_kept or (result.failed and not allow_errors):
         raise typer.Exit(1)
 
@@ -238,7 +240,7 @@ def up_command(
                 interrupts.check()
                 keep_log_small()
             say("stopping")
-        if running.started.live.remaining:  # it was said as it came
+        if running.started.live.remaining or running.unrecorded:  # it was said
             raise typer.Exit(1)
 
 

@@ -86,29 +86,43 @@ def new_recording(path: Path, robot: str) -> RecordingFile:
     return RecordingFile(path, robot)
 
 
+class Kept(Struct):
+    """What is to run, and what records it; None: nothing does."""
+
+    robot: Robot
+    recorder: RecordingFile | None = None
+    lacks: str = ""  # after the run: why not all is recorded
+
+
 @contextlib.contextmanager
 def keeping(
     robot: Robot, placed: Collection[str], file: str | PathLike[str] | None, say: Say
-) -> Iterator[tuple[Robot, RecordingFile | None]]:
-    """Give what is to run, and what records it in `file`; None: nothing does.
+) -> Iterator[Kept]:
+    """Record what runs in `file`, if there is one.
 
     To be entered before the run is, for containers write until it ends.
     """
     if file is None:
-        yield robot, None
+        yield Kept(robot)
         return
     path = Path(file)
     inputs = inputs_folder(path)
     shutil.rmtree(inputs, ignore_errors=True)
     tap = tapped(robot, placed, inputs)
     recorder = new_recording(path, robot.name)
+    kept = Kept(tap.robot, recorder)
     try:
-        yield tap.robot, recorder
+        yield kept
     finally:
-        inputs_said = _collect(tap, recorder, path)
+        inputs_said = ""
+        try:
+            inputs_said = _collect(tap, recorder, path)
+        except PoiseError as error:
+            kept.lacks = f"{error}; the inputs are in {inputs}"
         recorder.close()
         say(str(recorder))
-        say(inputs_said)
+        say(inputs_said or kept.lacks)
+        kept.lacks = recorder.trouble or kept.lacks
 
 
 def _collect(tap: Tapped, recorder: RecordingFile, path: Path) -> str:
@@ -116,13 +130,10 @@ def _collect(tap: Tapped, recorder: RecordingFile, path: Path) -> str:
     if not tap.sources and not tap.callers:
         return "nothing goes between architectures"
     counts: Counter[bool] = Counter()
-    try:
-        for entry in left_inputs(path):
-            recorder.file.add_record(entry, entry.at)
-            counts[entry.tag is not None] += 1
-        recorder.file.flush()
-    except PoiseError as error:
-        return f"{error}; the inputs are in {inputs_folder(path)}"
+    for entry in left_inputs(path):
+        recorder.file.add_record(entry, entry.at)
+        counts[entry.tag is not None] += 1
+    recorder.file.flush()
     if not counts:
         return f"the inputs are in {inputs_folder(path)} on the robot, if any"
     shutil.rmtree(inputs_folder(path))

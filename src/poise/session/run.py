@@ -117,12 +117,11 @@ def run(  # noqa: PLR0913 - each is a choice of the user
         server = _server(robot, stack, say)
         beside = _Beside(meanwhile if server is not None else nothing, robot.name)
         stack.enter_context(beside)  # it ends once its last request is answered
-        recorded = keeping(robot, placed.where, record, say)
-        runs, recorder = stack.enter_context(recorded)
+        kept = stack.enter_context(keeping(robot, placed.where, record, say))
         answering = stack.enter_context(contextlib.ExitStack())
-        what = planned(runs, first)
+        what = planned(kept.robot, first)
         up, manager = stack.enter_context(
-            managed(what, book, say, check, adapts=adapt, recorder=recorder)
+            managed(what, book, say, check, adapts=adapt, recorder=kept.recorder)
         )
         answering.callback(manager.end)
         shows = ""
@@ -139,7 +138,8 @@ def run(  # noqa: PLR0913 - each is a choice of the user
             say(f"the report lacks {lacks} of the journal; `poise journal` has more")
         report = reported(up, placed, manager.tasks.reports, seen, entries)
         stop(up.live)
-        return structs.replace(report, faults=located_faults(up.live))
+        report = structs.replace(report, faults=located_faults(up.live))
+    return structs.replace(report, unrecorded=kept.lacks)
 
 
 class Warnings:

@@ -230,6 +230,7 @@ class RunRecord(Struct, frozen=True, kw_only=True):
     clocks: Mapping[str, Mapping[str, ClockStatus]] = {}
     invalid: str = ""
     without: tuple[str, ...] = ()
+    unrecorded: str = ""
     simulation: Mapping[str, Any] = {}
 
     def component(self, name: str) -> ComponentReport:

@@ -90,6 +90,8 @@ class RunReport(Printable, RunRecord, frozen=True, kw_only=True):
         Computer -> other computer -> how far the other's clock was ahead at the end.
     without
         What the emulation did without.
+    unrecorded
+        What of the recording could not be written, and why; empty: all was.
     simulation
         What the simulated world said last.
     """

@@ -24,6 +24,7 @@ from poise.manage.control_socket.control_server import ControlServer
 from poise.manage.deploy.takeover import start_or_take_over
 from poise.manage.journal import Journal, check_journal
 from poise.manage.manager import TICK, Manager
+from poise.manage.observe.sample_recording import RecordingFile
 from poise.manage.tasks.concurrent_tasks import Tasks
 from poise.model.robot import Robot
 from poise.runtime.container.component_import import folder_of_version
@@ -64,9 +65,12 @@ _END_LIMIT = 60.0
 class Up(Running):
     """A robot that this process keeps up: its manager works on a thread of its own."""
 
-    def __init__(self, started: Started, manager: Manager) -> None:
+    def __init__(
+        self, started: Started, manager: Manager, recorder: RecordingFile | None
+    ) -> None:
         super().__init__(started.live.robot.name)
         self.started = started
+        self._recorder = recorder
         self._manager = manager
         self._error: Exception | None = None
         self._ended = threading.Event()
@@ -91,6 +95,11 @@ class Up(Running):
         that competes with the robot's components.
         """
         return self.started.computers.emulated
+
+    @property
+    def unrecorded(self) -> str:
+        """What of the recording could not be written, and why; empty: all was."""
+        return self._recorder.trouble if self._recorder is not None else ""
 
     def wait(self, seconds: float | None = None) -> bool:
         """Wait up to `seconds` [s] until the robot is stopped; return whether it is.
@@ -231,7 +240,7 @@ def up(  # noqa: PLR0913 - each is a choice of the user
         if send is not None and otel is not None:
             sender = send(robot.name, manager.status, otel, say)
             stack.callback(sender.close)
-        running = stack.enter_context(Up(it, manager))
+        running = stack.enter_context(Up(it, manager, recorder))
         server.start(manager.submit)
         if metrics is not None and exporter is None:
             try:
@@ -346,6 +355,6 @@ def _lead(claim: Claim, say: Say) -> None:
             )
         )
         server = stack.enter_context(ControlServer(robot.name, takes_over=True))
-        running = stack.enter_context(Up(it, manager))
+        running = stack.enter_context(Up(it, manager, None))
         server.start(manager.submit)
         running.wait()
