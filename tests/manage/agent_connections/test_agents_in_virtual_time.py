@@ -21,7 +21,6 @@ from poise.wire.records.deployment_records import (
     Deployment,
 )
 from poise.wire.records.migration_records import MigrationSteps
-from poise.wire.records.request_records import Accepted
 from tests.simulation.conftest import small_scenario
 
 EVERYONE = frozenset("abc")
@@ -83,6 +82,11 @@ class World:
                 network.cut(*way)
                 scheduler.at(scheduler.now + seconds, partial(network.heal, *way))
 
+    def deafen(self, computer: str) -> None:
+        """Let an agent answer nothing, though its heartbeats go on."""
+        core: Any = self.robot.agents[computer].core
+        core.on_request = lambda *_: None
+
     def managers(self) -> set[str]:
         """Return the keys of the managers that agents obey."""
         fences = [agent.core.fence for agent in self.robot.agents.values()]
@@ -123,13 +127,6 @@ def refused(how: Callable[[], object]) -> tuple[type, str, float]:
     return caught.type, str(caught.value), now() - began
 
 
-def told(agents: Agents, computer: str) -> object:
-    """Return what an agent answers to what is to run there."""
-    reply = agents.begin_deploy(computer, RUNNING)
-    agents.wait_news(lambda: reply.is_done, 2.0)
-    return reply.answer
-
-
 def test_who_comes_second_gets_no_agent_before_the_first_has_ended(
     world: World,
 ) -> None:
@@ -164,8 +161,7 @@ def test_steps_end_with_what_each_agent_said_or_why_it_said_nothing(
 
     def move(agents: Agents) -> object:
         agents.claim(EVERYONE)
-        core: Any = world.robot.agents["b"].core
-        core.on_request = lambda *_: None  # though its heartbeats go on
+        world.deafen("b")
         world.robot.agents["c"].process.kill()
         began, looks = now(), set[float]()
         asked = [
@@ -231,13 +227,12 @@ def test_a_majority_makes_a_leader_and_stores_what_it_commits(voting: World) -> 
     def lead(agents: Agents) -> object:
         voters = agents.elect()
         assert agents.heartbeats.leads()
-        assert told(agents, "a") == Accepted()
-        sleep(0.2)
-        stored = [agents.has_stored(7)]
-        told(agents, "b")
-        agents.wait_news(lambda: agents.has_stored(7), 1.0)
-        obeying = set(filter(agents.obey, EVERYONE))
-        return voters.keys(), obeying, [*stored, agents.has_stored(7)]
+        stored = []
+        for name in "ab":
+            agents.begin_deploy(name, RUNNING)
+            sleep(0.2)
+            stored.append(agents.has_stored(7))
+        return voters.keys(), set(filter(agents.obey, EVERYONE)), stored
 
     voting.isolate("c")
     assert voting.run(lead) == ({"a", "b"}, {"a", "b"}, [False, True])
@@ -252,6 +247,18 @@ def test_without_a_majority_nothing_changes_and_the_missing_are_named(
     assert (kind, said) == (RunError, "no majority of votes: not reached: b, c")
     assert took == pytest.approx(1.0, abs=0.2)
     assert voting.managers() == {""}
+
+
+def test_voters_that_do_not_answer_are_named_beside_those_out_of_reach(
+    voting: World,
+) -> None:
+    def lead(agents: Agents) -> object:
+        voting.deafen("b")
+        return refused(agents.elect)[1]
+
+    voting.isolate("c")
+    said = "no majority of votes: no answer: b; not reached: c"
+    assert voting.run(lead) == said
 
 
 def test_a_leader_that_is_cut_off_ends_and_follows_the_next_one(voting: World) -> None:

@@ -277,7 +277,9 @@ class Agents(AgentReports):
             if not self._claims.has_majority(accepted):
                 refused = {n: a for n, a in answers.items() if isinstance(a, Refused)}
                 said = sorted({answer.reason for answer in refused.values()})
-                away = sorted(votes.keys() - computers)
+                silent = [name for name, answer in answers.items() if answer is None]
+                said += [f"no answer: {', '.join(sorted(silent))}"] if silent else []
+                away = sorted(votes.keys() - self.reached())
                 said += [f"not reached: {', '.join(away)}"] if away else []
                 text = f"no majority of votes: {'; '.join(said)}"
                 led = [n for n, answer in refused.items() if answer.obeys_another]
