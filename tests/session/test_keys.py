@@ -22,6 +22,7 @@ from poise.wire.credentials import (
     Credentials,
     RenewableKeys,
     find,
+    minute,
 )
 
 DAY = 86400.0
@@ -43,6 +44,8 @@ def test_keys_say_of_whom_they_are_and_until_when(authority: Authority) -> None:
     assert keys.expires == pytest.approx(wall_time() + 3 * DAY, abs=60)
     assert "ends in 3.0 days: `poise keys issue` renews it" in keys.warning()
     assert not issue(authority).warning()
+    soon = issue(authority, days=0.03)
+    assert f"ends at {minute(soon.expires)}" in soon.warning()
 
 
 def test_a_process_that_goes_on_gets_renewed_keys(authority: Authority) -> None:

@@ -30,7 +30,8 @@ AUTHORITY, CERTIFICATE, PRIVATE_KEY = "authority.pem", "certificate.pem", "key.p
 HEARTBEATS = "heartbeats.key"
 FILES = AUTHORITY, CERTIFICATE, PRIVATE_KEY
 """Of each participant; `HEARTBEATS`, of those who send some."""
-WARN_BEFORE = 14 * 86400.0
+_DAY = 86400.0
+WARN_BEFORE = 14 * _DAY
 """The end of a certificate is warned of this time before [s]."""
 TAG_SIZE = 16
 _PRIVATE = 0o077
@@ -127,7 +128,9 @@ class Credentials:
         left = self.expires - now
         if left > WARN_BEFORE:
             return ""
-        ends = "has ended" if left <= 0 else f"ends in {left / 86400:.1f} days"
+        ends = f"ends in {left / _DAY:.1f} days"
+        if left < _DAY:
+            ends = f"ends at {minute(self.expires)}" if left > 0 else "has ended"
         return f"the certificate of {self.name} {ends}: `poise keys issue` renews it"
 
     def check(self, robot: str, *roles: Role) -> Credentials:
