@@ -17,6 +17,7 @@ from poise.estimate.profiles import (
     TimerProfile,
 )
 from poise.model.hardware import Link
+from poise.model.policy import Policy
 from poise.model.robot import Action, Chain, Robot, Task
 from poise.model.software import ConnectorEnd
 from poise.simulation.faults import SimulatedFault
@@ -232,6 +233,15 @@ def test_an_action_that_its_component_ends_is_said_to_reach_its_limit() -> None:
     first, *_ = rehearsed(structs.replace(plan, robot=robot), 0.1).guesses
     assert first.startswith("no component says that 'go' is done")
     assert not any("is done" in guess for guess in rehearsed(plan, 0.1).guesses)
+
+
+def test_a_policys_function_is_not_asked_and_that_is_said() -> None:
+    plan = plan_of()
+    mine = Policy(name="mine", call="rules:decide")
+    robot = structs.replace(plan.robot, policies=(*plan.robot.policies, mine))
+    report = rehearsed(structs.replace(plan, robot=robot), 1.0)
+    assert not any("rules:decide" in event.what for event in report.events)
+    assert "'rules:decide' of policy 'mine' is not asked" in report.guesses[0]
 
 
 @pytest.mark.slow

@@ -8,6 +8,8 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
 
+from msgspec import structs
+
 from poise.errors import RunError
 from poise.estimate.profiles import ConnectorProfile
 from poise.manage.control_socket.commands import MoveCommand, Refusal, Result
@@ -66,8 +68,11 @@ class RehearsalPlan(ManagedRobot, frozen=True, kw_only=True):
     seconds: float = 60.0
 
 
-def _without_ends(plan: RehearsalPlan) -> Iterator[str]:
-    """Yield which actions never end as their components would say."""
+def _without_code(plan: RehearsalPlan) -> Iterator[str]:
+    """Yield what the user's code would decide on the robot."""
+    for policy in plan.robot.policies:
+        if policy.call and not policy.off:
+            yield f"'{policy.call}' of policy '{policy.name}' is not asked here"
     tasks = {task.name: task for task in plan.robot.tasks}
     steps = (step for name in plan.tasks for step in steps_of(tasks, name))
     names = dict.fromkeys(
@@ -91,7 +96,10 @@ class Rehearsal:
         self._plan = plan
         self._seed = seed
         self._work = workload_of(plan.robot, plan.profile, plan.cores, plan.bag)
-        self._robot = SimulatedRobot(plan, Choices(seed), self._work)
+        policies = tuple(p for p in plan.robot.policies if not p.call)
+        robot = structs.replace(plan.robot, policies=policies)
+        managed = structs.replace(plan, robot=robot)
+        self._robot = SimulatedRobot(managed, Choices(seed), self._work)
         self._observer: SimulationObserver | None = None
         self._took = 0.0
         self._violations: list[str] = []
@@ -171,7 +179,7 @@ class Rehearsal:
             calls=ledger.calls,
             failed_calls=ledger.failed_calls,
             tasks=observer.tasks(),
-            guesses=(*_without_ends(plan), *self._work.guesses),
+            guesses=(*_without_code(plan), *self._work.guesses),
             violations=tuple(dict.fromkeys((*self._violations, *wrong))),
         )
 
