@@ -290,7 +290,7 @@ def _sum(result: plan.TaskResult) -> str:
         f"F = {_cost(result.total)} = {counted(len(result.results), 'phase')} "
         f"{_cost(phases)} + {counted(len(result.moves), 'move')} "
         f"{_cost(result.of_moves)}{known}; in {time}"
-        f"{', stopped by Ctrl-C' if result.stopped_by == 'interrupted' else ''}"
+        f"{', interrupted' if result.stopped_by == 'interrupted' else ''}"
     )
 
 
@@ -391,7 +391,7 @@ def _terms(result: plan.Result) -> str:
     return (
         f"F = {_cost(terms.total)} = {' + '.join(parts)} ({result.scale} scale, "
         f"{result.spread}){known}; by {result.method} in {_seconds(result)}"
-        f"{', stopped by Ctrl-C' if result.stopped_by == 'interrupted' else ''}"
+        f"{', interrupted' if result.stopped_by == 'interrupted' else ''}"
     )
 
 
