@@ -20,7 +20,9 @@ from poise.runtime.connectors.interface import methods
 from poise.runtime.connectors.latest import Heard
 from poise.runtime.execution.counters import Counts
 from poise.runtime.execution.data_age import Stamped
+from poise.runtime.hosting import output
 from poise.runtime.hosting.checkpoints import Checkpoints
+from poise.runtime.hosting.output import OutputFile, read_output
 from poise.runtime.hosting.outside_requests import OutsideRequests
 from poise.runtime.hosting.runner import Runner
 from poise.runtime.migration.state_check import describe_type
@@ -36,7 +38,7 @@ from poise.wire.codec import codec, pack
 from poise.wire.connections.channel import Channel
 from poise.wire.frame import Frame, FrameKind, Pieces
 from poise.wire.records.deployment_records import ChainPart, ComponentSpec
-from poise.wire.records.request_records import PARAMETERS, PortRequest
+from poise.wire.records.request_records import PARAMETERS, PortRequest, ReadOutput
 from tests.waiting import wait_until
 
 LIMIT = 20.0
@@ -219,6 +221,33 @@ def test_state_and_timers_go_over(incarnations: Incarnations) -> None:
     assert texts(new) == ("a", "b")
     # the time for which the answer was under way is all by which the phase may shift
     assert new.timers.next_due() == pytest.approx(old.timers.next_due(), abs=5)
+
+
+def test_what_it_writes_about_its_state_is_its_own(
+    incarnations: Incarnations, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It had the name of its container, and `poise log COMPONENT` did not show it."""
+    monkeypatch.setattr(output, "_BEING_WRITTEN", 0)
+    log = OutputFile(tmp_path, "hall")
+
+    class Talkative(Book):
+        def snapshot(self) -> Notes:
+            log.add("given")
+            return super().snapshot()
+
+        def restore(self, state: Notes) -> None:
+            log.add("taken")
+            super().restore(state)
+
+    old, new = (incarnations.start(Talkative, active=a) for a in (True, False))
+    restore(new, fetch(rest(old), Request.ALL, LIMIT))
+    log.add("by nobody")
+    written = read_output(tmp_path, ReadOutput(component="", after=0, most=9)).lines
+    assert [(line.component, line.text) for line in written] == [
+        ("book", "given"),
+        ("book", "taken"),
+        ("hall", "by nobody"),
+    ]
 
 
 class Acting(Book):

@@ -40,6 +40,17 @@ def write_as(component: str) -> None:
     _here.component = component
 
 
+@contextlib.contextmanager
+def writing_as(component: str) -> Iterator[None]:
+    """Let what this thread writes in a block be a component's."""
+    before = getattr(_here, "component", "")
+    write_as(component)
+    try:
+        yield
+    finally:
+        write_as(before)
+
+
 class OutputFile:
     """Where the lines of a container are kept. Any thread may add to it."""
 
@@ -60,7 +71,7 @@ class OutputFile:
 
         Standard error is told when it cannot be.
         """
-        component = component or getattr(_here, "component", self._container)
+        component = component or getattr(_here, "component", "") or self._container
         with self._lock:
             try:
                 if self._fd < 0:

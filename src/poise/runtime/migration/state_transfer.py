@@ -35,6 +35,7 @@ from poise.runtime.connectors.latest import Heard
 from poise.runtime.execution.container_lease import check_lease
 from poise.runtime.execution.data_age import Stamped
 from poise.runtime.execution.exclusion import new_chain
+from poise.runtime.hosting.output import writing_as
 from poise.runtime.hosting.runner import Runner
 from poise.runtime.migration.state_check import (
     check_adapted,
@@ -150,7 +151,7 @@ class StateSender:
         """Answer a target; a component's error crosses as text."""
         try:
             request, limit = received.value(REQUEST)
-            with self._serving:
+            with self._serving, writing_as(self._runner.spec.name):
                 if request == Request.STATE:
                     transfer = self._state()
                 else:
@@ -332,7 +333,7 @@ class StateReceiver:
                 check_fits(transfer.state_type, type_, f"--adapt for '{name}'")
                 states[name] = frame.parse(transfer.state).value(codec(type_))
         after = _adapted(adapt, type_taken_by(adapt)(**states))
-        with runner.gate.borrowed():
+        with runner.gate.borrowed(), writing_as(runner.spec.name):
             runner.component.restore(getattr(after, runner.spec.name))
 
 
@@ -363,7 +364,7 @@ def restore(
     component, is_fresh = runner.component, runner.spec.fresh
     now = runner.clock.now()
     runner.timers.begin_at({name: now + left for name, left in transfer.due.items()})
-    with runner.gate.borrowed():
+    with runner.gate.borrowed(), writing_as(runner.spec.name):
         if transfer.state and not is_fresh:
             check_restores(component)
             method = adapt or component.restore
