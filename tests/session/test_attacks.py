@@ -45,7 +45,7 @@ SOON = 1.0
 class Guarded:
     """An agent with keys, and what it says."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, shell: str = "") -> None:
         self.folder = folder
         self.authority = init_keys(ROBOT, folder / "owner")
         self.owner = Credentials(self.authority.folder)
@@ -55,6 +55,7 @@ class Guarded:
         argv = [sys.executable, "-m", "poise", "agent", "left", "--robot", ROBOT]
         argv += ["--address", "127.0.0.1", "--port", str(self.port)]
         argv += ["--keys", str(keys.folder), "--folder", str(folder / "agent")]
+        argv = ["sh", "-c", f'{shell}\nexec "$@"', "sh", *argv]
         with self.log.open("w") as log:
             self.process = subprocess.Popen(argv, stdout=log, stderr=log)
         wait_until(lambda: "agent of computer 'left'" in self.said())
@@ -81,13 +82,16 @@ class Guarded:
                 time.sleep(0.05)
         return False
 
+    def end(self) -> None:
+        self.process.terminate()
+        assert self.process.wait(LIMIT) == 0
+
 
 @pytest.fixture(scope="module")
 def guarded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Guarded]:
     agent = Guarded(tmp_path_factory.mktemp("guarded"))
     yield agent
-    agent.process.terminate()
-    assert agent.process.wait(LIMIT) == 0
+    agent.end()
 
 
 def test_who_has_the_keys_is_answered(guarded: Guarded) -> None:
@@ -218,6 +222,21 @@ def test_connections_that_say_nothing_hold_up_nobody(guarded: Guarded) -> None:
                 connection.close()
         assert [*session.get(f"poise/{ROBOT}/agent/left", timeout=SOON)]
     wait_until(lambda: guarded.answers(guarded.owner))
+
+
+def test_more_silent_connections_than_descriptors_shut_nobody_out(
+    tmp_path: Path,
+) -> None:
+    agent = Guarded(tmp_path, "ulimit -S -n 64")
+    try:
+        silent: list[socket.socket] = []
+        for _ in range(60):
+            _connect(agent, silent)
+        for connection in silent:
+            connection.close()
+        wait_until(lambda: agent.answers(agent.owner))
+    finally:
+        agent.end()
 
 
 def _times(session: zenoh.Session) -> list[float]:

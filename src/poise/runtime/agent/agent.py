@@ -11,6 +11,7 @@ import contextlib
 import logging
 import os
 import random
+import resource
 import signal
 import time
 import uuid
@@ -107,6 +108,7 @@ class Agent:
         self._zygote, self._zygote_pid = (
             zygote.start(held, setup.account) if self._has_zygote else zygote.absent()
         )
+        _allow_files()  # to this process; components keep what they may open
         self._adoption = AdoptedContainers(self._containers, self._clock, setup.account)
         self._host = ProcessHost(self._zygote, setup.computer, self._containers)
         self._waker = Waker()
@@ -445,6 +447,18 @@ class Agent:
                 self._await_news(self._clock.now() + _ENDING_EVERY)
         finally:
             core.kill_all()
+
+
+_MOST_FILES = 1 << 16
+"""Descriptors of an agent, if it may have so many: once a thousand strangers that said
+nothing had taken all, zenoh would take no more connections, also when they had left."""
+
+
+def _allow_files() -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    most = _MOST_FILES if hard == resource.RLIM_INFINITY else min(hard, _MOST_FILES)
+    if soft != resource.RLIM_INFINITY and soft < most:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (most, hard))
 
 
 def _containers_folder(setup: AgentSetup) -> Path:
