@@ -60,6 +60,8 @@ def test_what_is_prepared_begins_as_it_is_there_and_anew_elsewhere(
     assert not switch(live, (), {"thinker": "left"})
     assert live.placed["thinker"].computer == "left"
     assert live.placed["thinker"].epoch > prepared.epoch
+    said = [each.what for each in live.journal.entries()]
+    assert any(each.startswith("'thinker' begins anew on 'left'") for each in said)
 
 
 def test_what_comes_to_rest_still_publishes_but_is_sent_nothing(

@@ -70,6 +70,17 @@ def test_what_ends_with_its_target_is_dropped_but_never_by_a_move(
     assert engine.ledger.dropped == (0 if is_elsewhere else 4)
 
 
+def test_what_waits_for_an_idle_component_is_dropped_wherever_another_begins(
+    engine: Engine,
+) -> None:
+    _, _, other, target = pair(engine, work=1.0)
+    engine.run(0.55)  # five came, one of which runs
+    target.set_idle(True)
+    worker(container(engine), "target", model(engine), epoch=1)
+    other.remove(target)
+    assert engine.ledger.dropped == 4
+
+
 def test_what_is_wanted_is_connected(engine: Engine) -> None:
     _, _, other, _ = pair(engine)
     engine.run(0.5)

@@ -85,6 +85,11 @@ def switch(live: LiveRobot, ends: Collection[str], begins: Mapping[str, str]) ->
     Returns whether all of these were prepared. Raises LaterError when they take long.
     """
     are_ready = _are_ready(live, begins)
+    for name, at in begins.items():
+        before = live.prefetched.get(name)
+        if before is not None and not before.gently and before.computer != at:
+            where = f"'{name}' begins anew on '{at}', for not all that is needed now"
+            live.journal.note("decided", f"{where} fits where it was idle")
     idle = [
         replace(live.placed[name], goal="inactive", parting=True, gently=False)
         for name in ends

@@ -94,7 +94,7 @@ bool Executor::drop_oldest(Slot* slot) {
 }
 
 void Executor::drop_waiting() {
-  if (engine_.runs(key_.component, this)) return;
+  if (!is_idle_ && engine_.runs(key_.component, this)) return;
   for (const Item& item : mailbox_)
     if (item.kind == Item::Kind::message) engine_.ledger.drop(*item.connector->slot);
 }

@@ -46,6 +46,8 @@ class Executor {
   // Whether it is to work while it is active.
   void set_wanted(bool is_wanted) { is_wanted_ = is_wanted; }
   bool is_wanted() const { return is_wanted_; }
+  // Whether it has worked and is idle: what waits is lost with it, wherever another begins.
+  void set_idle(bool is_idle) { is_idle_ = is_idle; }
   // Whether it works under a lease only.
   void set_leased(bool is_leased) { is_leased_ = is_leased; }
   // Begin no turn from now on; begin turns again.
@@ -58,7 +60,8 @@ class Executor {
 
   // Take a message or a call; the oldest message of its slot makes room.
   void take(Item item);
-  // Drop what waits, unless another incarnation runs: of a move nothing may be lost.
+  // Drop what waits, unless it works and another incarnation runs: of a move nothing may be
+  // lost.
   void drop_waiting();
   // Give away all that waits; have it back, before all that came since.
   ExecutorState hand_over();
@@ -122,7 +125,7 @@ class Executor {
   Timers timers_;
   DataAges ages_;
   bool is_active_ = false, is_wanted_ = false, is_paused_ = false, is_leased_ = false;
-  bool is_removed_ = false;
+  bool is_idle_ = false, is_removed_ = false;
   std::deque<Item> mailbox_;
   std::unordered_map<const Slot*, std::size_t> waiting_;  // messages in it
   std::unordered_map<int, std::uint64_t> markers_;

@@ -222,6 +222,7 @@ void bind_components(nb::module_& module) {
       .def("activate", &Executor::activate)
       .def("deactivate", &Executor::deactivate)
       .def("set_wanted", &Executor::set_wanted, "is_wanted"_a)
+      .def("set_idle", &Executor::set_idle, "is_idle"_a)
       .def("set_leased", &Executor::set_leased, "is_leased"_a)
       .def("pause", &Executor::pause)
       .def("resume", &Executor::resume)

@@ -49,6 +49,7 @@ class SimulatedComponent:
         self._error = ""
         self._ends = 0
         self._is_done = True
+        self._has_worked = False
         start = self.model.start if container.is_new else self.model.start_later
         process.after(drawn(world.choices, start), self._be_configured)
 
@@ -65,7 +66,10 @@ class SimulatedComponent:
             return
         self.goal = goal
         self.executor.set_wanted(goal in {"active", "ready"})
+        if goal != "finalized":
+            self.executor.set_idle(goal == "inactive" and self._has_worked)
         if goal == "active":
+            self._has_worked = True
             self.container.migration.give_back(self)
             self.executor.resume()
         self._go_on()
