@@ -12,8 +12,9 @@ from typing import Any
 import pytest
 
 from poise.errors import CalleeError, Timeout
-from poise.runtime._calls import Counts, ServedCall, call_remote
-from poise.runtime.connectors.route import raise_callee_error
+from poise.runtime._calls import ServedCall, call_remote, called
+from poise.runtime.connectors.route import direct_call, raise_callee_error
+from poise.runtime.execution.counters import Counts
 from poise.runtime.execution.exclusion import (
     Exclusion,
     Redirected,
@@ -82,6 +83,22 @@ def go(chain: int, limit: float, meanwhile: Callable[[], Any]) -> Any:
         return meanwhile()
 
     return call_remote(chain, limit, "a-b", request, [b"call"])
+
+
+def test_whose_code_runs_is_known_amid_calls_within_calls() -> None:
+    outer, inner = open_exclusion(), Exclusion("inner")
+    inner.resume()
+    seen = [called()]
+
+    def ask(*_: object) -> bytes:
+        seen.append(called())
+        call = direct_call(lambda: seen.append(called()), inner, LONG, Counts())
+        call()
+        seen.append(called())
+        return b"answer"
+
+    come_in(new_chain(), LONG, ask, exclusion=outer)
+    assert [*seen, called()] == ["", "callee", "inner", "callee", ""]
 
 
 def test_a_call_is_decoded_run_and_encoded_in_its_chain() -> None:

@@ -79,6 +79,15 @@ def test_lines_are_those_of_the_component_whose_thread_writes(tmp_path: Path) ->
     assert [o.component for o in read(tmp_path).lines] == ["eye", "ear"]
 
 
+def test_what_a_call_writes_is_its_callees(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stream = KeptStream(StringIO(), OutputFile(tmp_path, "hall"))
+    monkeypatch.setattr(output, "called", lambda: "ear")
+    stream.write("I am the ear\n")
+    assert [o.component for o in read(tmp_path).lines] == ["ear"]
+
+
 def test_who_asks_again_gets_what_is_new(tmp_path: Path) -> None:
     file = OutputFile(tmp_path, "hall")
     for number in range(5):

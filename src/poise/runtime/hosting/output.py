@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from poise.clock import wall_time
+from poise.runtime._calls import called
 from poise.threads import SHOWN_FOR
 from poise.wire.records.request_records import OutputLine, OutputLines, ReadOutput
 
@@ -36,7 +37,7 @@ _here = threading.local()
 
 
 def write_as(component: str) -> None:
-    """Let what this thread writes from now on be a component's."""
+    """Let what this thread writes from now on, but in calls, be a component's."""
     _here.component = component
 
 
@@ -67,11 +68,12 @@ class OutputFile:
         self._lost: dict[str, tuple[str, float]] = {}
 
     def add(self, text: str, component: str = "") -> None:
-        """Add a line, of the component of this thread unless another is named.
+        """Add a line, of the component that writes it unless another is named.
 
         Standard error is told when it cannot be.
         """
-        component = component or getattr(_here, "component", "") or self._container
+        component = component or called() or getattr(_here, "component", "")
+        component = component or self._container
         with self._lock:
             try:
                 if self._fd < 0:

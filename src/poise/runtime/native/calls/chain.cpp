@@ -4,11 +4,13 @@
 
 #include "counters/running_call.h"
 #include "deadline.h"
+#include "exclusion.h"
 
 namespace poise {
 
 thread_local Chain thread_chain = no_chain;
 thread_local Moment thread_deadline = never;
+thread_local const Exclusion* thread_called = nullptr;
 
 static std::atomic<Chain> next = 1;
 

@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <cstdint>
 
+#include "chain.h"
 #include "counters/cpu_share.h"
 
 namespace poise {
@@ -16,7 +17,7 @@ using Moment = std::int64_t;  // as `wall_now` [ns]
 // Nobody waits: the thread runs a timer or a message.
 constexpr Moment never = INT64_MAX;
 
-extern thread_local Moment thread_deadline;
+POISE_NEAR_THREAD_LOCAL Moment thread_deadline;
 
 // What a call may take that begins now, with a limit of its own [s].
 inline double time_left(double limit, Moment now) {

@@ -109,7 +109,11 @@ PyObject* invoke(PyObject* self, PyObject* const* args, Py_ssize_t count, PyObje
 
   // the proxy may let go of this object while the callee runs
   const nb::object held = nb::borrow(self);
-  PyObject* result = PyObject_Vectorcall(call.method.ptr(), args, num, names);
+  PyObject* result = nullptr;
+  {
+    const Called called(call.exclusion_of);
+    result = PyObject_Vectorcall(call.method.ptr(), args, num, names);
+  }
   const bool in_time = end_call(&call, run, !result);
   if (!result) {
     translate_error(call.translate);

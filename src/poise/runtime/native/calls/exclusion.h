@@ -110,4 +110,19 @@ class Exclusion {
   bool redirected_ = false;
 };
 
+// That of the component in which this thread runs a call; none: it runs no call.
+POISE_NEAR_THREAD_LOCAL const Exclusion* thread_called;
+
+// Lets this thread run a call in a component, for as long as it lives.
+class Called {
+ public:
+  explicit Called(const Exclusion& callee) : before_(thread_called) { thread_called = &callee; }
+  ~Called() { thread_called = before_; }
+  Called(const Called&) = delete;
+  Called& operator=(const Called&) = delete;
+
+ private:
+  const Exclusion* before_;
+};
+
 }  // namespace poise

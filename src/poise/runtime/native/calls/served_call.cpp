@@ -128,6 +128,7 @@ nb::object ServedCall::answer(nb::handle frame, double ahead) {
     if ((holding.waited() || inside.waited()) && nb::cast<bool>(is_over_()))
       refuse(nb::str("its caller is gone"));
     const Deadline deadline(until);
+    const Called called(exclusion_of_);
     is_outermost = counts_of_.totals().running.begin();
     pieces = run(values);
   }
