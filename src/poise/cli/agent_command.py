@@ -27,7 +27,7 @@ from poise.session.folders import agent_folder, state_folder, system_agent_folde
 from poise.threads import explained
 from poise.units import SECONDS, quoted
 from poise.wire.control_session import SESSION_TIMEOUT
-from poise.wire.credentials import find, folders
+from poise.wire.credentials import find, folders, raise_if_of_other_role
 
 log = logging.getLogger(__name__)
 
@@ -239,6 +239,7 @@ def keys_for(
         return str(own.folder.resolve())
     if ip_address(address).is_loopback:
         return ""
+    raise_if_of_other_role(robot, "agent")
     raise UsageError(
         f"there are no keys for robot '{robot}' (looked in "
         f"{', '.join(map(str, folders(robot)))}): make them by `poise keys issue`, or "

@@ -336,3 +336,16 @@ def find(robot: str, *roles: Role, folder: Path | None = None) -> Credentials | 
             if keys.role in roles:
                 return keys.check(robot, *roles)
     return None
+
+
+def raise_if_of_other_role(robot: str, *roles: Role) -> None:
+    """UsageError: the keys in a usual folder are of other roles than these."""
+    for usual in folders(robot):
+        if (usual / CERTIFICATE).exists():
+            keys = Credentials(usual)
+            leads = "manager" in roles and keys.to_lead.exists()
+            try:
+                keys.check(robot, *roles)
+            except UsageError as error:
+                also = f"; POISE_KEYS={keys.to_lead} gives those" if leads else ""
+                raise UsageError(f"{error}{also}") from None

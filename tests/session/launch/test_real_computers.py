@@ -10,6 +10,7 @@ from poise.errors import UsageError
 from poise.model.robot import Computer, Robot
 from poise.session.keys import init_keys
 from poise.session.launch.computers import real_agents
+from poise.wire import credentials
 from poise.wire.address import KEYS
 
 
@@ -28,9 +29,9 @@ def test_with_keys_they_are_reached_by_tls() -> None:
     init_keys("hello")
     agents = real_agents(robot("10.0.0.1"))
     assert agents.endpoints == {"left": "tls/10.0.0.1:7447"}
-    credentials = agents.credentials()
-    assert credentials is not None
-    assert credentials.role == "manager"
+    keys = agents.credentials()
+    assert keys is not None
+    assert keys.role == "manager"
 
 
 def test_who_may_only_look_finds_them_to_look(
@@ -50,6 +51,21 @@ def test_without_keys_who_is_reachable_is_not_commanded() -> None:
     with pytest.raises(UsageError, match="no keys for robot 'hello'") as refused:
         real_agents(robot("10.0.0.1"))
     assert "`insecure: true` in the robot file" in str(refused.value)
+
+
+def test_keys_of_another_role_are_named(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    usual = tmp_path / "usual"
+    authority = init_keys("hello", tmp_path / "owner")
+    monkeypatch.setattr(credentials, "folders", lambda _: [usual])
+    authority.issue("eve", "viewer", usual)
+    with pytest.raises(UsageError, match=r"of viewer eve: they must be of manager$"):
+        real_agents(robot("10.0.0.1"))
+    own = authority.issue("left", "agent", usual)
+    authority.issue("left", "manager", own.to_lead)
+    with pytest.raises(UsageError, match=f"POISE_KEYS={own.to_lead} gives those"):
+        real_agents(robot("10.0.0.1"))
 
 
 @pytest.mark.parametrize(

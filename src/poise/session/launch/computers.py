@@ -41,7 +41,7 @@ from poise.wire.control_session import (
     endpoint_of,
     locator,
 )
-from poise.wire.credentials import Credentials, Role, find
+from poise.wire.credentials import Credentials, Role, find, raise_if_of_other_role
 from poise.wire.records.status_records import SAMPLE_EVERY
 from poise.wire.robots_here import AgentAddresses, forget
 
@@ -372,14 +372,15 @@ def real_agents(robot: Robot, *also: Role) -> AgentAddresses:
     where = {c.name: Endpoint.parse(c.address) for c in robot.computers if c.address}
     keys = None if robot.insecure else find(robot.name, "manager", *also)
     if keys is None and not robot.insecure:
-        _raise_if_reachable(robot.name, where)
+        _raise_if_reachable(robot.name, where, *also)
     endpoints = {name: locator(at, keys) for name, at in where.items()}
     return AgentAddresses(robot.name, endpoints, str(keys.folder) if keys else "")
 
 
-def _raise_if_reachable(robot: str, where: Mapping[str, Endpoint]) -> None:
+def _raise_if_reachable(robot: str, where: Mapping[str, Endpoint], *also: Role) -> None:
     for name, endpoint in where.items():
         if not (endpoint.is_ip and ip_address(endpoint.host).is_loopback):
+            raise_if_of_other_role(robot, "manager", *also)
             raise UsageError(
                 f"there are no keys for robot '{robot}', and whoever reaches computer "
                 f"'{name}' ({endpoint}) could run code there: `poise keys init` and "
