@@ -82,7 +82,7 @@ NB_MODULE(_calls, module) {
   module.def("time_left", [](double limit) { return time_left(limit, wall_now()); },
              nb::arg("limit"));
   module.def("called", [] { return thread_called ? thread_called->what() : std::string(); },
-             "Return the component in which this thread runs a call; empty: it runs none.");
+             "Return the component that this thread calls into; empty: none.");
   module.def("deadline", [] { return thread_deadline; });
   module.def("set_deadline", [](Moment moment) { thread_deadline = moment; }, nb::arg("moment"));
 
