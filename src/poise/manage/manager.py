@@ -289,8 +289,9 @@ class Manager:
 
     def _estimate_from_samples(self) -> None:
         """Estimate from samples, keep them, and say which demands have shifted."""
-        prepared = self._live.prefetched.items()
-        self._estimates.idle = {(name, idle.epoch) for name, idle in prepared}
+        desired = self._live.desired
+        prepared = (*desired.prefetched.values(), *desired.coming)
+        self._estimates.idle = {idle.key for idle in prepared}
         for sample in self._samples.drain():
             if self._estimates_end:
                 return

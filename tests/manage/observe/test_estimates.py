@@ -35,6 +35,7 @@ from poise.wire.records.status_records import (
     ComponentSample,
     ComponentStatus,
     ConnectorStatus,
+    ContainerSample,
     ContainerStatus,
     Summary,
     TimerStatus,
@@ -386,6 +387,45 @@ def test_metrics_where_somebody_else_listens_name_the_address() -> None:
         port = other.getsockname()[1]
         with pytest.raises(RunError, match=f"on 127.0.0.1:{port}: .* in use"):
             MetricsServer("127.0.0.1", port)
+
+
+def sample_of(
+    computer: str, at: float, *incarnations: tuple[int, float]
+) -> AgentSample:
+    """Return a sample of `eye`; `incarnations`: epochs, with their CPU time."""
+    components = [
+        ComponentSample("eye", epoch, cpu, 0.0, 0, 0) for epoch, cpu in incarnations
+    ]
+    containers = [
+        ContainerSample(f"{c.epoch}", 9, at, c.cpu, 0, (c,), ()) for c in components
+    ]
+    return AgentSample(computer, at, 0.0, tuple(containers))
+
+
+@pytest.mark.parametrize("is_known_idle", [True, False])
+@pytest.mark.parametrize("target", ["a", "b"])
+def test_a_move_that_is_rolled_back_leaves_the_estimate_with_its_source(
+    robot: Robot, target: str, *, is_known_idle: bool
+) -> None:
+    estimates = Estimates(robot, None, emulated=True)
+    for k in range(30):
+        at, source = 0.2 * k, (0, 0.02 * k)
+        if k == 10 and is_known_idle:
+            estimates.idle = {("eye", 1)}
+        is_moving = 10 <= k < 20
+        here = [(1, 0.05 * k)] if is_moving else []
+        if target == "a":
+            estimates.add(sample_of("a", at, source, *here))
+        else:
+            estimates.add(sample_of("a", at, source))
+            estimates.add(sample_of("b", at, *here))
+        if is_moving and is_known_idle:
+            assert estimates.demand_estimates()[0].computer == "a"
+    for k in range(30, 130):  # it needs 40 % from now on
+        estimates.add(sample_of("a", 0.2 * k, (0, 0.6 + 0.08 * (k - 30))))
+    (known,) = estimates.demand_estimates()
+    assert known.computer == "a"
+    assert known.estimate.mean > 0.3  # it was 17 % on average before
 
 
 def moved(sample: AgentSample, cpu: float) -> AgentSample:

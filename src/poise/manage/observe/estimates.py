@@ -206,6 +206,10 @@ class DemandEstimate(Struct, frozen=True, kw_only=True):
         return max(self.expected or 0.0, self.demand)
 
 
+_ANY = -1
+"""Less than any epoch."""
+
+
 class _Followed(Struct):
     """A component's running estimate, and its incarnation."""
 
@@ -296,10 +300,13 @@ class Estimates:
             known = self._followed[component.name] = self._follow(component, computer)
         if component.epoch < known.epoch:
             return None  # the incarnation that a move leaves behind
-        if component.epoch != known.epoch:
+        is_other = component.epoch != known.epoch
+        is_idle = (component.name, component.epoch) in self.idle
+        if is_other and is_idle:
+            return None  # the target of a move, while the source is at work
+        if is_other or is_idle:
             known.running.skip_to_next()  # the counters are another incarnation's
-        if (component.name, component.epoch) in self.idle:
-            known.running.skip_to_next()
+        if is_idle:
             return None
         known.epoch, known.computer = component.epoch, computer
         speed = self._speeds.get(computer, 1.0)
@@ -324,8 +331,18 @@ class Estimates:
     def _forget_ended(self, sample: AgentSample) -> None:
         """Drop the ends on a computer that are not there any more, and what they said.
 
-        A sample has all that is there.
+        A sample has all that is there. Where a component has ended, any incarnation of
+        it is followed next: that of a move's source, when the move was rolled back.
         """
+        components = {
+            (component.name, component.epoch)
+            for container in sample.containers
+            for component in container.components
+        }
+        for name, known in self._followed.items():
+            is_here = known.computer == sample.computer
+            if is_here and (name, known.epoch) not in components:
+                known.epoch = _ANY
         there = {
             ((sample.computer, container.name), connector.name)
             for container in sample.containers
