@@ -170,7 +170,7 @@ def test_reads_the_paper_example() -> None:
 
 
 def test_a_folder_is_no_robot_file(tmp_path: Path) -> None:
-    with pytest.raises(RobotError, match="is a folder, not a robot file") as error:
+    with pytest.raises(RobotError, match="is a folder, not a file") as error:
         load(tmp_path)
     assert error.value.problems[0].line == 0
 

@@ -126,11 +126,22 @@ def test_all_problems_are_said_at_once(path: Path) -> None:
     path.write_text("""\
 faults:
   - {at: 1 s, fault: kill agent, computer: left, for: 1 s}
-  - {at: 2 h, fault: kill agent, computer: main, for: 1 s}
+  - {at: 2 h, fault: kill container, computer: main, for: 1 s}
+  - {at: 1 s, fault: kil agent, computer: main, for: 1 s}
+  - {at: 1 s, fault: kill agent, computer: left, for: soon, four: 1 s}
+  - {at: 2 h, fault: cut link, computer: left, for: 1 s}
 """)
     with pytest.raises(RobotError) as error:
         read_faults(path, ROBOT, 3600.0)
-    assert [each.line for each in error.value.problems] == [2, 3]
+    said = [str(each).partition(": ")[2] for each in error.value.problems]
+    lines = [each.line for each in error.value.problems]
+    assert lines == [2, 3, 3, 4, 5, 5, 5, 6, 6, 6], said
+
+
+def test_a_folder_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(RobotError) as error:
+        faults_of(ROBOT, tmp_path, 60.0, seed=0)
+    assert str(error.value) == f"{tmp_path}: is a folder, not a file"
 
 
 @pytest.mark.parametrize(

@@ -80,11 +80,11 @@ def _read_text(
     try:
         found = path.stat()  # from Python 3.14 on, `exists` does not say what is wrong
         if stat.S_ISDIR(found.st_mode):
-            wrong("is a folder, not a robot file")
+            wrong("is a folder, not a file")
         elif not stat.S_ISREG(found.st_mode):
             wrong("is not an ordinary file")
         elif found.st_size > LARGEST:
-            wrong(f"is larger than {LARGEST} bytes, the limit for a robot file")
+            wrong(f"is larger than {LARGEST} bytes, the limit for such a file")
         else:
             return path.read_bytes().decode("utf-8-sig")
     except UnicodeDecodeError as error:

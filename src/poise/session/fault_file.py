@@ -15,7 +15,7 @@ from poise.decoding import convert
 from poise.errors import FileProblem, RobotError, UsageError, unknown
 from poise.model.file_keys import Name, Seconds, Share, says
 from poise.model.robot import Robot
-from poise.model.yaml_tree import Finding, Positions, read_file
+from poise.model.yaml_tree import Finding, Node, Positions, read_file
 from poise.model.yaml_tree import Path as KeyPath
 from poise.model.yaml_validation import validate
 from poise.session.arguments import check_type
@@ -130,13 +130,23 @@ def read_faults(path: Path, robot: Robot, seconds: float) -> tuple[SimulatedFaul
     """Return the faults in a file."""
     problems: list[FileProblem] = []
     root = read_file(path, None, problems)
-    found = root and validate(root, msgspec.inspect.type_info(DocumentKeys), problems)
-    if root is None or found is None or problems:
-        raise RobotError(problems=sorted(problems))
+    if root is None:
+        raise RobotError(problems=problems)
+    validate(root, msgspec.inspect.type_info(DocumentKeys), problems)
     positions = Positions(root)
     faults = []
-    for number, keys in enumerate(convert(found, DocumentKeys).faults):
-        findings = list(_shape(keys)) or list(_findings(keys, robot, seconds))
+    for number, node in enumerate(_entries(root)):
+        found = validate(node, msgspec.inspect.type_info(FaultKeys), [])
+        if found is None:  # why is among the file's problems
+            continue
+        keys = convert(found, FaultKeys)
+        findings = list(_shape(keys, node))
+        refused = {key for path, _ in findings for key in path}
+        findings += [
+            (path, message)
+            for path, message in _findings(keys, robot, seconds)
+            if path[0] not in refused
+        ]
         problems += [
             positions.problem(Finding(("faults", number, *path), message))
             for path, message in findings
@@ -148,20 +158,29 @@ def read_faults(path: Path, robot: Robot, seconds: float) -> tuple[SimulatedFaul
     return tuple(faults)
 
 
-def _shape(keys: FaultKeys) -> Iterator[tuple[KeyPath, str]]:
-    """Yield the keys that a kind of fault lacks, or does not take."""
+def _entries(root: Node) -> list[Node]:
+    listed = root.value.get("faults") if isinstance(root.value, dict) else None
+    return listed.value if listed and isinstance(listed.value, list) else []
+
+
+def _shape(keys: FaultKeys, node: Node) -> Iterator[tuple[KeyPath, str]]:
+    """Yield the keys that a kind of fault lacks, or does not take.
+
+    One whose value is wrong is in the file, but not among `keys`.
+    """
     kind = keys.fault
+    written = node.value if isinstance(node.value, dict) else {}
     wanted = "between" if kind in LINK_KINDS else "computer"
     given = {"computer": keys.computer, "between": keys.between}
     for key, example in (("between", "[main, vision]"), ("computer", "main")):
         is_wanted = key == wanted and kind not in ANYWHERE
-        if is_wanted and given[key] is None:
+        if is_wanted and key not in written:
             yield (), f"'{kind}' lacks the key '{key}': write `{key}: {example}`"
         if not is_wanted and given[key] is not None:
             yield (key,), f"'{kind}' takes no '{key}'"
     if kind in TIMELESS and keys.lasts is not None:
         yield ("for",), f"'{kind}' takes no 'for': it is over at once"
-    if kind not in TIMELESS and keys.lasts is None:
+    if kind not in TIMELESS and "for" not in written:
         yield (), f"'{kind}' lacks the key 'for': write how long, as in `for: 30 s`"
 
 
@@ -171,7 +190,8 @@ def _findings(
     ends: Mapping[str, KeyPath] = {"target": ("between", 0), "other": ("between", 1)}
     paths = {**_KEYS, **ends} if keys.between else _KEYS
     for field, message in fault_findings(_fault(keys, robot), robot, seconds):
-        yield paths.get(field, (field,)), message
+        if field != "other" or keys.between:
+            yield paths.get(field, (field,)), message
 
 
 def _fault(keys: FaultKeys, robot: Robot) -> SimulatedFault:
