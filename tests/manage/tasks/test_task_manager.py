@@ -26,6 +26,7 @@ from poise.manage.observe.estimates import Load
 from poise.manage.tasks import task_manager
 from poise.manage.tasks.concurrent_tasks import Tasks
 from poise.manage.tasks.saved_tasks import goes_on_with
+from poise.manage.tasks.switch import prepare
 from poise.manage.tasks.task_manager import TaskManager
 from poise.manage.tasks.task_progress import Saved
 from poise.model.robot import (
@@ -607,21 +608,24 @@ def test_a_paused_task_rests_and_keeps_its_state() -> None:
     rig.manager.advance()
     assert (rig.active(), rig.resting()) == (set(), {"seeer"})
     rig.manager.command("resume", "t")
-    assert rig.run.placed["seeer"] == before
+    assert rig.run.placed["seeer"].key == before.key
 
 
-def test_a_paused_task_goes_on_with_the_alternative_that_has_its_state() -> None:
-    """As after `poise replace`: the planner alone would take the better one."""
-    action = Action(name="a", functions=("see",))
-    robot = robot_with(task("t", action), linger=0.0)
+def with_lesser(robot: Robot) -> Robot:
+    """Return it with an alternative of `see` that the planner would not take."""
     lesser = Architecture(
         name="lesser",
         function="see",
         quality=0.5,
         components=(ComponentEntry(name="glancer", demand={"cpu": 0.1}),),
     )
-    architectures = (*robot.architectures, lesser)
-    rig = Rig(replace(robot, architectures=architectures), "t")
+    return replace(robot, architectures=(*robot.architectures, lesser))
+
+
+def paused_after_replace() -> Rig:
+    """Return a task that is paused after `poise replace see-arch lesser`."""
+    action = Action(name="a", functions=("see",))
+    rig = Rig(with_lesser(robot_with(task("t", action))), "t")
     assert rig.active() == {"seeer"}
     replaced = rig.run.begun("glancer", "main")
     desired = rig.run.desired.without(["seeer"]).placing([replaced])
@@ -629,9 +633,31 @@ def test_a_paused_task_goes_on_with_the_alternative_that_has_its_state() -> None
     rig.manager.command("pause", "t")
     rig.manager.advance()
     assert (rig.active(), rig.resting()) == (set(), {"glancer"})
+    return rig
+
+
+def test_a_paused_task_goes_on_with_the_alternative_that_has_its_state() -> None:
+    rig = paused_after_replace()
+    resting = rig.run.prefetched["glancer"]
+    prepare(rig.run, {"seeer": "main"}, {})  # it has no state
+    idle = replace(rig.run.prefetched["seeer"], gently=False)
+    rig.run.commit(rig.run.desired.with_prefetched([idle]), "no action is likely")
     rig.manager.command("resume", "t")
-    assert rig.run.placed["glancer"].key == replaced.key
+    assert rig.run.placed["glancer"].key == resting.key
     assert rig.active() == {"glancer"}
+
+
+def test_an_alternative_that_has_the_state_does_not_lose_it_when_it_takes_long() -> (
+    None
+):
+    rig = paused_after_replace()
+    resting = rig.run.prefetched["glancer"]
+    rig.run.goes_on_without_lost = True
+    rig.agents.lost_amid_activation = "spare"
+    rig.agents.states["glancer"] = ComponentStatus(name="glancer", state="inactive")
+    rig.manager.command("resume", "t")
+    rig.manager.advance()
+    assert [e.key for e in rig.run.desired.configured_ahead] == [resting.key]
 
 
 def test_components_start_tasks_and_refusals_are_journalled() -> None:

@@ -36,6 +36,8 @@ class Incarnation(Struct, frozen=True, kw_only=True):
     unjoined: bool = False
     # whether it is idle from now on: what it publishes until it rests still goes out
     parting: bool = False
+    # whether it has worked, so that it has state when it is idle
+    has_worked: bool = False
     held: bool = False  # whether it is inactive only because `Desired.held` names it
     # the actions of tasks that it is to end, the last begun last: number and name
     actions: Mapping[int, str] = {}

@@ -253,8 +253,9 @@ class Admission:
         self, by_plan: Mapping[str, str], functions: Collection[str]
     ) -> dict[str, str]:
         """Return a plan with the alternatives that rest, and have the state."""
-        robot, idle = self._live.robot, self._live.prefetched
-        resting = {n: e.computer for n, e in idle.items() if not e.gently}
+        robot, desired = self._live.robot, self._live.desired
+        idle = (*desired.prefetched.values(), *desired.configured_ahead)
+        resting = {e.component: e.computer for e in idle if e.has_worked}
         for function in functions:
             others = by_plan.keys() & robot.components_for([function])
             if others and others <= resting.keys():

@@ -87,11 +87,17 @@ def switch(live: LiveRobot, ends: Collection[str], begins: Mapping[str, str]) ->
     are_ready = _are_ready(live, begins)
     for name, at in begins.items():
         before = live.prefetched.get(name)
-        if before is not None and not before.gently and before.computer != at:
+        if before is not None and before.has_worked and before.computer != at:
             where = f"'{name}' begins anew on '{at}', for not all that is needed now"
             live.journal.note("decided", f"{where} fits where it was idle")
     idle = [
-        replace(live.placed[name], goal="inactive", parting=True, gently=False)
+        replace(
+            live.placed[name],
+            goal="inactive",
+            parting=True,
+            has_worked=True,
+            gently=False,
+        )
         for name in ends
     ]
     new = [
