@@ -50,7 +50,7 @@ def test_what_is_at_work_out_of_reach_has_no_lease_when_it_begins_elsewhere(
 
 
 def test_what_is_prepared_begins_as_it_is_there_and_anew_elsewhere(
-    live: LiveRobot,
+    live: LiveRobot, agents: FakeAgents
 ) -> None:
     prepare(live, {"thinker": "right"}, {})
     prepared = live.prefetched["thinker"]
@@ -60,8 +60,13 @@ def test_what_is_prepared_begins_as_it_is_there_and_anew_elsewhere(
     assert not switch(live, (), {"thinker": "left"})
     assert live.placed["thinker"].computer == "left"
     assert live.placed["thinker"].epoch > prepared.epoch
-    said = [each.what for each in live.journal.entries()]
-    assert any(each.startswith("'thinker' begins anew on 'left'") for each in said)
+    switch(live, ["thinker"], {})
+    agents.gone.add("left")
+    switch(live, (), {"thinker": "right"})
+    said = [each.what for each in live.journal.entries() if "anew" in each.what]
+    anew = ["'thinker' begins anew on 'left', for not all that is needed now fits"]
+    anew += ["'thinker' begins anew on 'right', for 'left', where it was idle"]
+    assert said == [f"{anew[0]} where it was idle", f"{anew[1]}, is out of reach"]
 
 
 def test_what_comes_to_rest_still_publishes_but_is_sent_nothing(

@@ -85,11 +85,14 @@ def switch(live: LiveRobot, ends: Collection[str], begins: Mapping[str, str]) ->
     Returns whether all of these were prepared. Raises LaterError when they take long.
     """
     are_ready = _are_ready(live, begins)
+    away = live.agents.out_of_reach()
     for name, at in begins.items():
         before = live.prefetched.get(name)
         if before is not None and before.has_worked and before.computer != at:
-            where = f"'{name}' begins anew on '{at}', for not all that is needed now"
-            live.journal.note("decided", f"{where} fits where it was idle")
+            why = "not all that is needed now fits where it was idle"
+            if before.computer in away:
+                why = f"'{before.computer}', where it was idle, is out of reach"
+            live.journal.note("decided", f"'{name}' begins anew on '{at}', for {why}")
     idle = [
         replace(
             live.placed[name],
