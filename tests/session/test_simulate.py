@@ -210,13 +210,20 @@ def test_a_wrong_fault_stops_it_before_it_begins(
 def test_all_placements_are_compared_under_the_same_seed_and_faults(
     hello: Robot, rehearsal: type[FakeRehearsal]
 ) -> None:
+    said: list[str] = []
     found = poise.compare_simulations(
         hello,
         methods=["auto", "static", "auto"],
         seconds=600.0,
         faults="random",
         seed=3,
+        say=said.append,
     )
+    assert said == [
+        "task 'greet' starts, with priority 0",
+        "simulating auto placement",
+        "simulating static placement",
+    ]
     assert list(found.results) == ["auto", "static"]
     assert rehearsal.seeds == [3, 3]
     first, second = rehearsal.plans

@@ -169,10 +169,12 @@ def compare_simulations(  # noqa: PLR0913 - each is a choice of the user
     asked = _scenario(robot, task, seconds, (faults, seed), recording, adapt=adapt)
     without: dict[str, str] = {}
     placements: dict[str, Placement] = {}
+    say_once = _once(say)
     for method in dict.fromkeys(methods):
         try:
             planned = place(robot, asked.tasks[0], method=method, fewer=True)
-            placements[method] = first_phase(robot, asked.tasks, planned, say).placed
+            first = first_phase(robot, asked.tasks, planned, say_once)
+            placements[method] = first.placed
         except RobotError as error:
             without[method] = str(error)
     results: dict[str, Simulation] = {}
@@ -190,6 +192,18 @@ def compare_simulations(  # noqa: PLR0913 - each is a choice of the user
             if results[method].is_early:
                 break
     return SimulationComparison(results=results, without=without)
+
+
+def _once(say: Say) -> Say:
+    """Return what says each sentence once, though it is true of several placements."""
+    said: set[str] = set()
+
+    def say_once(sentence: str) -> None:
+        if sentence not in said:
+            said.add(sentence)
+            say(sentence)
+
+    return say_once
 
 
 def _scenario(
