@@ -622,18 +622,28 @@ def with_lesser(robot: Robot) -> Robot:
     return replace(robot, architectures=(*robot.architectures, lesser))
 
 
-def paused_after_replace() -> Rig:
-    """Return a task that is paused after `poise replace see-arch lesser`."""
-    action = Action(name="a", functions=("see",))
-    rig = Rig(with_lesser(robot_with(task("t", action))), "t")
+def after_replace() -> Rig:
+    """Return two actions that see, amid the first, after `poise replace`."""
+    actions = (Action(name=name, functions=("see",)) for name in "ab")
+    rig = Rig(with_lesser(robot_with(task("t", *actions))), "t")
     assert rig.active() == {"seeer"}
     replaced = rig.run.begun("glancer", "main")
     desired = rig.run.desired.without(["seeer"]).placing([replaced])
     rig.run.commit(desired, "it was replaced")
+    rig.manager.advance()
+    return rig
+
+
+def paused_after_replace() -> Rig:
+    rig = after_replace()
     rig.manager.command("pause", "t")
     rig.manager.advance()
     assert (rig.active(), rig.resting()) == (set(), {"glancer"})
     return rig
+
+
+def test_nothing_is_likely_where_another_alternative_goes_on() -> None:
+    assert after_replace().manager.likely_next() == []
 
 
 def test_a_paused_task_goes_on_with_the_alternative_that_has_its_state() -> None:

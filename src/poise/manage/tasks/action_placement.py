@@ -176,11 +176,15 @@ def likely_next(
     plans: PlanOverTime,
     running: Mapping[str, str],
     idle: Mapping[str, str],
+    served: Collection[str] = (),
 ) -> list[LikelyAction]:
-    """Return what may be needed next and does not run, the most probable first."""
+    """Return what may be needed next and does not run, the most probable first.
+
+    `served`: functions that run already, maybe by other alternatives than planned.
+    """
     actions = []
     for record, attempt, probability in upcoming:
-        functions = attempt.action.functions
+        functions = tuple(f for f in attempt.action.functions if f not in served)
         where = plans.placement(record.name, (attempt.name,), functions)
         missing = {n: idle.get(n, at) for n, at in where.items() if n not in running}
         if missing:

@@ -100,7 +100,8 @@ class TaskManager:
         """Return what may be needed next and does not run, the most probable first."""
         live = self._live
         runs = live.placement() | self._slow.placement()
-        return likely_next(self._upcoming, self._plans, runs, live.prepared())
+        idle, served = live.prepared(), self._serving.functions()
+        return likely_next(self._upcoming, self._plans, runs, idle, served)
 
     def is_over(self) -> bool:
         """Return whether no task runs, waits or is paused any more."""
