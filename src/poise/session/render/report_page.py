@@ -15,6 +15,8 @@ _WIDTH, _LEFT, _HEIGHT, _GAP = 960, 130, 56, 14
 """Of the picture, of the names on its left, of a strip, and between strips [pixels]."""
 _MOST_NUMBERS = 40
 """Entries that are numbered; of more, there are lines without numbers."""
+_DIGIT = 6
+"""What a digit of a number takes [pixels]; numbers that would overlap are joined."""
 _STEPS = (1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1800, 3600, 7200, 21600, 86400)
 _MISSED = "worst missed"
 _DASHED = 'stroke-dasharray="3 2"'
@@ -92,12 +94,23 @@ def _axis(end: float, height: int) -> Iterator[str]:
 
 
 def _marks(marks: Mapping[int, Mark], end: float, height: int) -> Iterator[str]:
-    for number, (at, what) in marks.items():
+    for at, what in marks.values():
         x = _x(at, end)
         says = f"<title>{escape(what)}</title>"
         mark = line([(x, 0), (x, height - 22)], "#d98c00", 1.5, _DASHED)
-        told = text(x + 2, 11, str(number), font_size=10)
-        yield f"<g>{says}{mark}{told if len(marks) <= _MOST_NUMBERS else ''}</g>"
+        yield f"<g>{says}{mark}</g>"
+    if len(marks) > _MOST_NUMBERS:
+        return
+    numbers: list[tuple[float, str]] = []
+    for number, (at, _) in marks.items():
+        x, says = _x(at, end), str(number)
+        if numbers and x < numbers[-1][0] + _DIGIT * len(numbers[-1][1]):
+            x, before = numbers.pop()
+            says = f"{before.partition('–')[0]}–{number}"
+        numbers.append((x, says))
+    for x, says in numbers:
+        left = min(x + 2, _WIDTH - _DIGIT * len(says))
+        yield text(left, 11, says, font_size=10)
 
 
 def _bars(

@@ -14,6 +14,7 @@ from poise.manage.journal import JournalEntry
 from poise.manage.observe.deviations import LocatedFault
 from poise.model import load
 from poise.model.robot import Computer, Robot
+from poise.session.render.report_page import Mark, over_time
 from poise.session.run_records import MOST, ComponentReport, History, Moment
 from poise.session.run_report import RunReport
 from poise.wire.records.status_records import (
@@ -180,6 +181,15 @@ def test_entries_from_before_the_run_are_not_on_the_time_line() -> None:
         "a load came",
         "much later",
     ]
+
+
+def test_numbers_that_would_overlap_are_joined() -> None:
+    moments = (10.0, 50.0, 50.1, 50.4, 60.0, 99.9, 100.0)
+    marks = {n: Mark(at, "it moved") for n, at in enumerate(moments, 8)}
+    drawing = over_time({}, marks, 100.0, "what happened")
+    numbers = re.findall(r'<text x="([\d.]+)" y="11.0" font-size="10">(.*?)<', drawing)
+    assert [number for _, number in numbers] == ["8", "9–11", "12", "13–14"]
+    assert float(numbers[-1][0]) <= 960 - 5 * 6  # all of it is in the picture
 
 
 def test_a_run_shorter_than_a_moment_shows_its_computers() -> None:
