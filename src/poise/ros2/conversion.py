@@ -224,7 +224,8 @@ def _uncut(kind: str, where: str) -> Convert:
 
 
 _FITS: dict[str, Callable[[Any], bool]] = {
-    "string": lambda text: "\0" not in text,  # where it would end
+    # it would end at a NUL; half a pair cannot be sent
+    "string": lambda text: not re.search("[\0\ud800-\udfff]", text),
     "wstring": lambda _: True,
     "octet": lambda byte: len(byte) == 1,
 }

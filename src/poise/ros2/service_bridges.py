@@ -78,11 +78,14 @@ class ServesRos(Services):
             )
 
     def _serve(self, service: Service, request: Any, response: Any) -> Any:  # noqa: ANN401, messages
-        arguments = service.request.from_ros(request)
         method = getattr(getattr(self, self.port.name), service.name)
         try:
+            arguments = service.request.from_ros(request)
             result = method(*msgspec.structs.astuple(arguments))
-        except CallError as error:
+            if service.answer is None and hasattr(response, "success"):
+                response.success = True
+            return service.to_ros(result, response)
+        except Exception as error:  # also of what does not fit: the client waits
             if not hasattr(response, "success"):
                 raise  # there is no way to say so: the client gets no answer
             self.log.warning("%s: %s", service.name, error)
@@ -90,9 +93,6 @@ class ServesRos(Services):
             if hasattr(response, "message"):
                 response.message = str(error)
             return response
-        if service.answer is None and hasattr(response, "success"):
-            response.success = True
-        return service.to_ros(result, response)
 
 
 class AsksRos(Services):
