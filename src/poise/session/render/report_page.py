@@ -106,7 +106,7 @@ def _marks(marks: Mapping[int, Mark], end: float, height: int) -> Iterator[str]:
         x, says = _x(at, end), str(number)
         if numbers and x < numbers[-1][0] + _DIGIT * len(numbers[-1][1]):
             x, before = numbers.pop()
-            says = f"{before.partition('–')[0]}–{number}"
+            says = f"{before.partition('-')[0]}-{number}"
         numbers.append((x, says))
     for x, says in numbers:
         left = min(x + 2, _WIDTH - _DIGIT * len(says))

@@ -188,7 +188,7 @@ def test_numbers_that_would_overlap_are_joined() -> None:
     marks = {n: Mark(at, "it moved") for n, at in enumerate(moments, 8)}
     drawing = over_time({}, marks, 100.0, "what happened")
     numbers = re.findall(r'<text x="([\d.]+)" y="11.0" font-size="10">(.*?)<', drawing)
-    assert [number for _, number in numbers] == ["8", "9–11", "12", "13–14"]
+    assert [number for _, number in numbers] == ["8", "9-11", "12", "13-14"]
     assert float(numbers[-1][0]) <= 960 - 5 * 6  # all of it is in the picture
 
 
