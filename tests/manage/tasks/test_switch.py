@@ -109,6 +109,16 @@ def test_what_should_rest_may_be_at_work_until_its_agent_has_answered(
     assert not live.coming_to_rest()
 
 
+def test_who_has_not_answered_yet_is_named_where_something_should_rest(
+    live: LiveRobot, agents: FakeAgents
+) -> None:
+    switch(live, (), {"filter": "left"})
+    agents.deaf.add("left")
+    with pytest.raises(LaterError) as raised:
+        switch(live, ["filter"], {"thinker": "right"})
+    assert str(raised.value) == "computer 'left' is silent"
+
+
 def test_only_where_all_was_prepared_a_switch_was_prepared(live: LiveRobot) -> None:
     prepare(live, {"thinker": "right"}, {})
     assert not switch(live, (), {"thinker": "right", "filter": "right"})

@@ -281,7 +281,10 @@ def _raise_on_failed(live: LiveRobot, wanted: Iterable[Incarnation]) -> None:
 
 def _not_at_rest(live: LiveRobot) -> list[str]:
     """Return what should rest and does not yet, in words."""
-    return not_at_goals(live.coming_to_rest(), live.current(), ())
+    resting, current = live.coming_to_rest(), live.current()
+    silent = {each.computer for each in resting} - current.keys()
+    known = [each for each in resting if each.computer in current]
+    return not_at_goals(known, current, silent)
 
 
 SHORTEST, LONGEST = 10.0, 300.0
