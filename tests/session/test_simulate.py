@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 
 import poise
+from poise.errors import RunError
+from poise.manage.tasks.action_placement import PlanOverTime
 from poise.model.loading import load
 from poise.model.robot import Robot
 from poise.simulation.faults import SimulatedFault
@@ -54,6 +56,42 @@ def test_the_engine_gets_what_was_asked_for(
     assert rehearsal.closed == 1
     assert found.seconds == pytest.approx(10.2)
     assert not found.is_early
+
+
+def test_later_actions_take_what_was_learned_too(
+    tmp_path: Path,
+    rehearsal: type[FakeRehearsal],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Also in a run: it asks the planner with the robot that it gives its manager."""
+    file = tmp_path / "robot.yaml"
+    file.write_text("""
+robot: learner
+computers: {one: {cpu: 1, memory: 1 GiB}}
+architectures:
+  see: {function: seeing, components: {eye: {command: "true", cpu: 0.1}}}
+  ear: {function: hearing, components: {ear: {command: "true", cpu: 0.1}}}
+  mic: {function: hearing, quality: 50%, components: {mic: {command: "true", cpu: 0.1}}}
+tasks:
+  work: {actions: [{name: a, functions: [seeing]}, {name: b, functions: [hearing]}]}
+""")
+    robot = load(file)
+    for _ in range(3):
+        poise.note_outcome(robot, "b", "failed", ["ear"])
+    given: list[Robot] = []
+
+    def end(robot: Robot, *_: object) -> None:
+        given.append(robot)
+        raise RunError
+
+    monkeypatch.setattr("poise.session.run.first_phase", end)
+    with pytest.raises(RunError):
+        poise.run(robot, seconds=1.0)
+    poise.simulate(robot, seconds=1.0)
+    given += [plan.robot for plan in rehearsal.plans]
+    assert [
+        PlanOverTime(each).placement("work", ("b",), ("hearing",)) for each in given
+    ] == [{"mic": "one"}] * 2
 
 
 def test_without_a_placement_poise_decides(

@@ -200,6 +200,12 @@ def with_success(
     return replace(robot, success=success)
 
 
+def as_learned(robot: Robot, tasks: Iterable[str]) -> Robot:
+    """Return the robot with all that was learned of the actions of tasks."""
+    actions = tuple(action for name in tasks for action in robot.actions(name))
+    return with_success(learned(robot, actions).robot, actions)
+
+
 def is_tried(robot: Robot, action: Action, conditions: Conditions) -> bool:
     """Return whether it is known how an action ended with what provides it now."""
     tried = {

@@ -17,6 +17,7 @@ from poise import threads
 from poise.clock import wall_time
 from poise.emulate import set_for
 from poise.errors import PoiseError, RunError, UsageError
+from poise.estimate.success_rates import as_learned
 from poise.manage.control_socket.control_server import ControlServer
 from poise.manage.deploy.deactivation import drain, stop
 from poise.manage.journal import JournalEntry
@@ -106,7 +107,7 @@ def run(  # noqa: PLR0913 - each is a choice of the user
         raise UsageError(f"meanwhile: {meanwhile!r} is no function")
     check_path("journal", journal or "")
     check_path("record", record or "")
-    robot = as_deployed(robot)
+    robot = as_deployed(as_learned(robot, [chosen]))
     first = first_phase(robot, [chosen], placement, decided.append)
     placed, warnings = first.placed, Warnings(say)
     decided.insert(0, f"task '{chosen}', {placed.method} placement")

@@ -16,6 +16,7 @@ from msgspec import Struct, structs
 from rich.console import RenderableType
 
 from poise.errors import RobotError, RunError, UsageError
+from poise.estimate.success_rates import as_learned
 from poise.model.robot import Robot
 from poise.session import Check, Say, log, nothing
 from poise.session.arguments import check_duration, check_names, check_path, check_type
@@ -220,11 +221,12 @@ def _scenario(
     check_duration("a simulation", seconds)
     check_type("seed", faults[1], Integral, "a whole number")
     check_path("recording", recording or "")
+    chosen = task_of(robot, task)
     return plan(
-        robot=robot,
+        robot=as_learned(robot, [chosen]),
         placement={},
         method="",
-        tasks=(task_of(robot, task),),
+        tasks=(chosen,),
         profile=read_profile(robot),
         faults=faults_of(robot, faults[0], seconds, faults[1]),
         adapts=adapt,

@@ -18,7 +18,7 @@ from poise import threads
 from poise.decoding import from_msgpack
 from poise.emulate import EmulatedComputer, set_for
 from poise.errors import RunError, TakenOver, UsageError
-from poise.estimate.success_rates import learned, with_success
+from poise.estimate.success_rates import as_learned
 from poise.manage.control_socket.commands import StopCommand
 from poise.manage.control_socket.control_server import ControlServer
 from poise.manage.deploy.takeover import start_or_take_over
@@ -203,8 +203,7 @@ def up(  # noqa: PLR0913 - each is a choice of the user
     names = _tasks_of(robot, task)
     if metrics is not None and not 0 < metrics < _PORTS:
         raise UsageError(f"metrics on port {metrics}: it is from 1 to {_PORTS - 1}")
-    actions = [each for name in names for each in robot.actions(name)]
-    robot = as_deployed(with_success(learned(robot, actions).robot, actions))
+    robot = as_deployed(as_learned(robot, names))
     decided: list[str] = []
     first = first_phase(robot, names, placement, decided.append)
     send = _telemetry(otel) if otel is not None else None
