@@ -9,7 +9,7 @@ import pytest
 
 from poise.errors import RunError
 from poise.session.robot_file import load
-from poise.simulation.faults import SimulatedFault
+from poise.simulation.faults import SimulatedFault, SimulatedFaultKind
 from poise.simulation.rehearsal import Rehearsal, RehearsalPlan
 from poise.simulation.robot.simulated_robot import SimulatedRobot
 from poise.simulation.scheduler import SimulationError
@@ -49,6 +49,36 @@ def test_a_disk_is_full_until_the_last_fault_is_over() -> None:
         assert rehearsal._robot.disks["left"].trouble()
         rehearsal.advance(1.0)
         assert not rehearsal._robot.disks["left"].trouble()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["kill agent", "restart computer"])
+def test_an_agent_starts_when_the_last_fault_that_ended_it_is_over(
+    kind: SimulatedFaultKind,
+) -> None:
+    long = SimulatedFault(0.5, kind, "right", lasts=5.0)
+    short = SimulatedFault(1.0, "kill agent", "right", lasts=0.5)
+    with closing(Rehearsal(plan(long, short))) as rehearsal:
+        rehearsal.come_up()
+        rehearsal.advance(5.0)
+        assert "right" not in rehearsal._robot.agents
+        rehearsal.advance(1.0)
+        assert "right" in rehearsal._robot.agents
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["kill manager", "another manager"])
+def test_no_manager_starts_without_power(kind: SimulatedFaultKind) -> None:
+    """A killed one starts when there is power, and goes on with the robot."""
+    long = SimulatedFault(0.5, "restart computer", "right", lasts=5.0)
+    short = SimulatedFault(1.0, kind, "right", lasts=0.5)
+    with closing(Rehearsal(plan(long, short))) as rehearsal:
+        rehearsal.come_up()
+        rehearsal.advance(5.0)
+        assert len(rehearsal._robot.managers) == 1
+        rehearsal.advance(15.0)
+        assert rehearsal._robot.manager
+        assert rehearsal._robot.manager.manager
 
 
 @pytest.mark.slow

@@ -164,6 +164,8 @@ def _begin(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
             step = (fault.pick - 0.5) * _LONGEST_STEP
             robot.computers[fault.target].wall_ahead += step
         case "another manager" | "take over":  # though another may be at work
+            if robot.computers[fault.target].is_off:
+                return _nothing
             takes_over = fault.kind == "take over" and robot.is_reached()
             robot.start_manager(fault.target, take_over=takes_over)
     return _nothing
@@ -175,9 +177,10 @@ def _nothing() -> None:
 
 def _kill(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
     agent, manager = robot.agents.get(fault.target), robot.manager
+    mend: Mend
     if fault.kind == "kill agent":
         killed = [agent.process] if agent else []
-        mend: Mend = partial(robot.start_agent, fault.target)
+        mend = robot.hold_agent(fault.target)
     elif fault.kind == "kill manager":
         killed = [manager.process] if manager else []
         mend = partial(robot.keep_managed, fault.target)
@@ -242,13 +245,14 @@ def _restart(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
     heal, manager = _cut(robot, fault), robot.manager
     computer = robot.computers[fault.target]
     was_managed_here = manager is not None and manager.process.computer is computer
-    for process in list(computer.processes.values()):
-        process.kill()
+    computer.lose_power()
     robot.disks[fault.target].restart()
+    start_agent = robot.hold_agent(fault.target)
 
     def start() -> None:
         heal()
-        robot.start_agent(fault.target)
+        computer.get_power()
+        start_agent()
         if was_managed_here:
             robot.keep_managed(fault.target)
 

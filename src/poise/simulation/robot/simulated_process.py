@@ -56,6 +56,8 @@ class SimulatedComputer:
         self._asleep = 0.0
         self._suspended_at: float | None = None
         self._wakes_at = 0.0
+        self._num_off = 0
+        self._when_on: list[Callable[[], object]] = []
 
     def monotonic(self) -> float:
         """Return CLOCK_MONOTONIC [s], which stands while the computer is suspended."""
@@ -81,6 +83,32 @@ class SimulatedComputer:
         if self._suspended_at is not None:
             process.pause()
         return process
+
+    @property
+    def is_off(self) -> bool:
+        """Whether it has no power, so that nothing can start."""
+        return self._num_off > 0
+
+    def lose_power(self) -> None:
+        """End all processes, until as many calls of `get_power` have come."""
+        self._num_off += 1
+        for process in list(self.processes.values()):
+            process.kill()
+
+    def get_power(self) -> None:
+        """Have power again, unless something else still takes it."""
+        self._num_off -= 1
+        if not self.is_off:
+            acts, self._when_on = self._when_on, []
+            for act in acts:
+                act()
+
+    def when_on(self, act: Callable[[], object]) -> None:
+        """Do something at once, or when there is power again."""
+        if self.is_off:
+            self._when_on.append(act)
+        else:
+            act()
 
     def suspend(self, seconds: float) -> None:
         """Let the whole computer stand still for a while [s], as in suspend to RAM."""

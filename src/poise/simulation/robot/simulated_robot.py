@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 
 from msgspec import Struct
@@ -219,6 +220,7 @@ class SimulatedRobot:
         self.managers: list[SimulatedManager] = []
         self.endpoints: dict[str, str] = {}
         self.is_stopped = False
+        self._num_holds = Counter[str]()
         self.on_moment: Callable[[Moment, str], object] = lambda *_: None
         self.on_claim: Callable[[str, Claim, ManagerId], object] = lambda *_: None
         self.on_entry: Callable[[JournalEntry], object] = lambda _: None
@@ -265,6 +267,20 @@ class SimulatedRobot:
         )
         process.on_end.append(lambda: self.agents.pop(computer, None))
 
+    def hold_agent(self, computer: str) -> Callable[[], None]:
+        """Let no fault start an agent again; return what is called when that is over.
+
+        Then it starts, unless another fault holds it.
+        """
+        self._num_holds[computer] += 1
+
+        def start() -> None:
+            self._num_holds[computer] -= 1
+            if not self._num_holds[computer]:
+                self.start_agent(computer)
+
+        return start
+
     def start_standby(self, computer: str) -> Callable[[], bool]:
         """Let a standby try to lead; return what says whether it still runs."""
         manager = self.start_manager(computer, is_standby=True)
@@ -275,8 +291,7 @@ class SimulatedRobot:
     ) -> SimulatedManager:
         """Start a manager on a computer, or outside of all."""
         number = len(self.managers)
-        where = self.computers.get(computer, self._outside)
-        process = where.start(f"manager {number}")
+        process = self._computer(computer).start(f"manager {number}")
 
         def note(entry: JournalEntry) -> None:
             if process.is_dead:
@@ -301,9 +316,19 @@ class SimulatedRobot:
         return manager
 
     def keep_managed(self, computer: str) -> None:
-        """Start a manager on a computer, unless one runs: somebody asks for it."""
-        if self.manager is None and not self.is_stopped:
-            self.start_manager(computer)
+        """Start a manager on a computer, unless one runs: somebody asks for it.
+
+        Where there is no power, that waits for it.
+        """
+
+        def start() -> None:
+            if self.manager is None and not self.is_stopped:
+                self.start_manager(computer)
+
+        self._computer(computer).when_on(start)
+
+    def _computer(self, name: str) -> SimulatedComputer:
+        return self.computers.get(name, self._outside)
 
     def is_reached(self) -> bool:
         """Return whether each agent runs, and each computer reaches each other one."""
