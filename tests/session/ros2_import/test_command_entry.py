@@ -130,14 +130,15 @@ def test_reads_values_of_parameters_as_rcl_does(text: str, value: object) -> Non
 
 
 def test_parameters_that_no_robot_file_holds_are_arguments() -> None:
-    line = (
-        "/opt/ros/kilted/lib/lidar/node --ros-args -p far:=-.inf -p near:=.1 -p all:=[]"
-    )
-    assert keys(line)["ros2"] == {
+    values = ("far:=-.inf", "near:=.1", "all:=[]", "ends:=[-.inf, 1.0]", "two:=[1.0]")
+    words = [word for value in values for word in ("-p", value)]
+    line = ("/opt/ros/kilted/lib/lidar/node", "--ros-args", *words)
+    kept = ["-p", "far:=-inf", "-p", "all:=[]", "-p", "ends:=[-inf, 1.0]"]
+    assert keys("", arguments=line)["ros2"] == {
         "package": "lidar",
         "executable": "node",
-        "params": {"near": 0.1},
-        "arguments": ["--ros-args", "-p", "far:=-inf", "-p", "all:=[]", "--"],
+        "params": {"near": 0.1, "two": [1.0]},
+        "arguments": ["--ros-args", *kept, "--"],
     }
 
 

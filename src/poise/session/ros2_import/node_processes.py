@@ -444,7 +444,12 @@ def _unwritable(params: dict[str, Any]) -> list[str]:
     names = [
         name
         for name, value in params.items()
-        if value == [] or (isinstance(value, float) and not isfinite(value))
+        if value == []
+        or not all(
+            isfinite(each)
+            for each in (value if isinstance(value, list) else [value])
+            if isinstance(each, float)
+        )
     ]
     return [word for n in names for word in ("-p", f"{n}:={params.pop(n)}")]
 
