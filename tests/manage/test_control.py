@@ -32,6 +32,7 @@ from poise.manage.control_socket.commands import (
 from poise.manage.control_socket.control_client import send_command
 from poise.manage.control_socket.control_server import ControlServer, Submit
 from poise.wire import frame
+from poise.wire.robots_here import running_here
 from tests.waiting import wait_until
 
 pytestmark = pytest.mark.slow
@@ -264,6 +265,19 @@ def test_a_manager_that_was_not_taken_over_takes_commands_again(
         assert [file.name for file in folder.iterdir()] == ["first.sock"]
     assert answer == StopReport(("a container",))
     assert list(folder.iterdir()) == []
+
+
+def test_a_manager_takes_commands_again_when_who_took_over_was_killed(
+    server: ControlServer, folder: Path
+) -> None:
+    server.start(answering(StopReport()))
+    path = folder / "first.sock"
+    path.rename(folder / "first.former")
+    with socket.socket(socket.AF_UNIX) as killed:
+        killed.bind(os.fspath(path))
+    assert running_here() == ["first"]
+    assert send_command("first", StopCommand()) == StopReport()
+    assert [file.name for file in folder.iterdir()] == ["first.sock"]
 
 
 @pytest.mark.parametrize("runtime", ["/proc/nowhere", f"/tmp/{'long' * 30}"])

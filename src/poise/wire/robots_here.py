@@ -103,8 +103,24 @@ def _files(ending: str) -> list[Path]:
         ) from None
 
 
+def former_of(path: Path) -> Path:
+    """Return where a control socket is while a manager takes over that may yet fail."""
+    return path.with_suffix(".former")
+
+
 def is_alive(path: Path) -> bool:
-    """Return at once whether a manager listens there, however many clients queue."""
+    """Return at once whether a manager listens there, however many clients queue.
+
+    One that was not taken over after all listens there again: who took over may have
+    been killed before it led.
+    """
+    if not _listens(path) and _listens(former := former_of(path)):
+        with contextlib.suppress(FileNotFoundError):  # another process was first
+            former.rename(path)
+    return _listens(path)
+
+
+def _listens(path: Path) -> bool:
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         probe.setblocking(False)
         try:

@@ -30,7 +30,7 @@ from poise.manage.control_socket.commands import (
 )
 from poise.wire import frame
 from poise.wire.codec import Unreadable, WireError
-from poise.wire.robots_here import is_alive, make_folder, path_of
+from poise.wire.robots_here import former_of, is_alive, make_folder, path_of
 
 log = logging.getLogger(__name__)
 Submit = Callable[[Command], "Future[Result | Refusal]"]
@@ -59,7 +59,7 @@ class ControlServer:
     def __init__(self, robot: str, *, takes_over: bool = False) -> None:
         self._robot = robot
         self._path = path_of(robot)
-        self._former = self._path.with_suffix(".former")
+        self._former = former_of(self._path)
         self._is_closed = threading.Event()
         self._free = threading.Semaphore(MOST_CLIENTS)
         self._others = threading.Semaphore(MOST_OTHERS)
@@ -125,10 +125,8 @@ class ControlServer:
 
     def _give_back(self) -> None:
         """Remove the socket; that of a manager which was not replaced comes back."""
-        if not self._is_up.is_set() and is_alive(self._former):
-            self._former.rename(self._path)
-        else:
-            self._path.unlink()
+        self._path.unlink()
+        if not is_alive(self._path):
             self._former.unlink(missing_ok=True)
 
     def _accept(self) -> None:
