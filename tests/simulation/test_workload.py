@@ -106,6 +106,19 @@ def test_what_waits_for_room_in_a_queue_follows_no_device(robot: Robot) -> None:
     assert any("waits for room in the queue" in guess for guess in work.guesses)
 
 
+def test_a_port_keeps_as_many_messages_whoever_sends_them(robot: Robot) -> None:
+    """The camera and the arm send to one port of the filter."""
+    known, *others = robot.architectures
+    one = next(c for c in known.connectors if c.between[1].component == "filter")
+    other = structs.replace(one, between=(ConnectorEnd("arm", "out"), one.between[1]))
+    both = structs.replace(known, connectors=(*known.connectors, other))
+    code = {"filter": ComponentCode(keep={one.between[1].port: 3})}
+    robot = structs.replace(robot, architectures=(both, *others), code=code)
+    assert workload_of(robot, profile_of(robot)).models["filter"].keep == [
+        ([str(one), str(other)], 3)
+    ]
+
+
 @pytest.mark.parametrize("seconds", [0.08, 0.01])
 def test_who_takes_messages_waits_as_it_was_measured(
     robot: Robot, seconds: float

@@ -206,7 +206,7 @@ class Engine:
         serves: Mapping[str, Handler],
         other: Handler,
         factors: Sequence[float],
-        keep: Mapping[str, int],
+        keep: Sequence[tuple[Sequence[str], int]],
         keep_other: int,
         release_offset: float = 0.0,
         answer: Handler | None = None,

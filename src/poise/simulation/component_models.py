@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from random import Random
 from typing import Literal
 
@@ -81,8 +81,8 @@ class ComponentModel(Struct, frozen=True, kw_only=True):
     `answer`: what the answer of a started call costs; None: nothing takes it.
     `factors`: how much dearer handlers are in each second than on average, again and
     again; empty: always the same.
-    `keep`: slot -> how many messages wait at most, the oldest of them make room; the
-    others have room for `MOST_KEPT`.
+    `keep`: slots that lead to one port, and how many messages wait there at most, the
+    oldest of them make room; each other slot has room for `MOST_KEPT`.
     `start`, `start_later`: shortest and longest time until it is configured [s], in a
     container that is started for it and in one that runs already.
     `activate`: longest time that `activate` or `deactivate` takes [s].
@@ -99,7 +99,7 @@ class ComponentModel(Struct, frozen=True, kw_only=True):
     other: HandlerModel = _TAKE
     answer: HandlerModel | None = None
     factors: tuple[float, ...] = ()
-    keep: Mapping[str, int] = {}
+    keep: Sequence[tuple[Sequence[str], int]] = ()
     start: tuple[float, float] = (0.02, 0.2)
     start_later: tuple[float, float] = (0.02, 0.1)
     activate: float = 0.01

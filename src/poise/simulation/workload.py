@@ -462,15 +462,16 @@ class _ComponentWork:
                 place = end.port, owner.function, number
                 yield self._layout.slot_of(connector), place, self._over[str(connector)]
 
-    def _keeps(self) -> dict[str, int]:
-        """Return slot -> how many messages wait at most, where the class says so."""
-        kept = {}
+    def _keeps(self) -> list[tuple[list[str], int]]:
+        """Return how many messages wait at most, where the class says so, by slots."""
+        kept: dict[str, tuple[list[str], int]] = {}
         for connector in self._robot.all_connectors():
             end = connector.between[1]
             keep = self._code.keep.get(end.port) if self._code else None
             if keep is not None and end.component == self._entry.name:
-                kept[self._layout.slot_of(connector)] = keep
-        return kept
+                slots, _ = kept.setdefault(end.port, ([], keep))
+                slots.append(self._layout.slot_of(connector))
+        return list(kept.values())
 
     def _share_work(self, timers: list[_Rated], others: list[_Rated]) -> None:
         """Let all handlers together take the CPU that the component takes.

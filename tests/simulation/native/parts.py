@@ -28,7 +28,7 @@ def model(
     *,
     serves: Mapping[str, Handler] | None = None,
     factors: Sequence[float] = (),
-    keep: Mapping[str, int] | None = None,
+    keep: Sequence[tuple[Sequence[str], int]] = (),
 ) -> Model:
     return engine.model(
         timers=timers,
@@ -36,7 +36,7 @@ def model(
         serves=serves or {},
         other=engine.handler(0.001),
         factors=factors,
-        keep=keep or {},
+        keep=keep,
         keep_other=50,
     )
 
@@ -61,7 +61,7 @@ def worker(
     return executor
 
 
-def joined(
+def joined(  # noqa: PLR0913 - each is a choice of the test
     engine: Engine,
     source: Container,
     target: Container,
@@ -70,12 +70,13 @@ def joined(
     limit: float = 1.0,
     chain: str = "",
     epochs: tuple[int, int] = (0, 0),
+    slot: str = "out",
 ) -> tuple[Sender, Connector]:
-    """Return a connector of two components, and its sending end; its slot is `out`."""
+    """Return a connector of two components, and its sending end."""
     connector = engine.connector(
-        name="out",
-        key=f"out/{epochs}",
-        slot="out",
+        name=slot,
+        key=f"{slot}/{epochs}",
+        slot=slot,
         source=(ends[0], epochs[0]),
         target=(ends[1], epochs[1]),
         computer=target.computer,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from poise.simulation._engine import Container, Engine, Executor
+from poise.simulation._engine import Container, Engine, Executor, Sender
 from tests.simulation.native.parts import LOCAL, container, joined, model, worker
 
 
@@ -26,7 +26,7 @@ def pair(
     one, other = container(engine), container(engine)
     source = publisher(engine, one)
     takes = {"out": engine.handler(work)}
-    target = worker(other, "target", model(engine, takes=takes, keep={"out": keep}))
+    target = worker(other, "target", model(engine, takes=takes, keep=[(["out"], keep)]))
     joined(engine, one, other, ("source", "target"), chain=chain)
     return one, source, other, target
 
@@ -48,6 +48,60 @@ def test_the_oldest_message_makes_room(engine: Engine) -> None:
     assert engine.ledger.dropped == 7
     engine.run(1.11)
     assert engine.ledger.violations == []
+
+
+def listener(engine: Engine, *ports: tuple[list[str], int]) -> list[Sender]:
+    """Let a component take a second for each of ten messages a second over each slot.
+
+    Each port has slots, and keeps some messages. Return what counts the messages that
+    were taken over each slot.
+    """
+    other = container(engine)
+    slots = [slot for slots, _ in ports for slot in slots]
+    takes = {
+        slot: engine.handler(1.0, publishes=[(f"of {slot}", 1.0)]) for slot in slots
+    }
+    worker(other, "target", model(engine, takes=takes, keep=ports))
+    ends, heard = [], container(engine)
+    counts = [
+        joined(engine, other, heard, ("target", "heard"), slot=f"of {slot}")[0]
+        for slot in slots
+    ]
+    for slot in slots:
+        place = container(engine)
+        tick = engine.handler(0.001, publishes=[(slot, 1.0)])
+        worker(place, slot, model(engine, [("tick", 0.1, None, tick)]))
+        ends.append(joined(engine, place, other, (slot, "target"), slot=slot)[1])
+    other.connect(ends)
+    return counts
+
+
+def test_a_port_keeps_as_many_whoever_publishes(engine: Engine) -> None:
+    listener(engine, (["one", "two"], 2))
+    engine.run(1.05)  # twenty came: one runs, two wait
+    assert engine.ledger.dropped == 17
+    engine.run(60.05)
+    assert engine.ledger.violations == []
+
+
+def test_the_newest_message_is_handled_in_the_turn_of_what_it_replaces(
+    engine: Engine,
+) -> None:
+    of_newest, of_last = listener(engine, (["newest"], 1), (["last"], 9))
+    engine.run(60.55)  # by turns: the newest, and nine of the others
+    assert (of_newest.messages, of_last.messages) == (7, 53)
+    assert engine.ledger.violations == []
+
+
+def test_what_comes_while_it_moves_takes_no_room(engine: Engine) -> None:
+    _, source, _, target = pair(engine, work=1.0, keep=1)
+    target.pause()
+    engine.run(0.55)
+    target.resume()
+    engine.run(0.65)  # this one has the room
+    source.pause()
+    engine.run(10.0)
+    assert (target.done, engine.ledger.dropped) == (6, 0)
 
 
 @pytest.mark.parametrize("is_elsewhere", [False, True])

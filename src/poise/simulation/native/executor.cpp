@@ -67,30 +67,41 @@ void Executor::pause() {
 void Executor::resume() {
   if (!is_paused_) return;
   is_paused_ = false;
+  while_paused_ = waiting_;
   if (is_active_) activate();
 }
 
 void Executor::take(Item item) {
   ++asked_;
   if (item.kind == Item::Kind::message) {
-    Slot* const slot = item.connector->slot;
-    const auto keep = model_.keep.find(slot);
-    std::size_t& waiting = waiting_[slot];
-    const std::size_t room = keep == model_.keep.end() ? model_.keep_other : keep->second;
-    if (waiting < room || !drop_oldest(slot)) ++waiting;
+    const Port port = port_of(item.connector->slot);
+    std::size_t& waiting = waiting_[port.first];
+    const bool is_full = !is_paused_ && waiting >= port.room + while_paused_[port.first];
+    if (is_full && make_room(port, item)) return work();
+    ++waiting;
   }
   mailbox_.push_back(std::move(item));
   work();
 }
 
-bool Executor::drop_oldest(Slot* slot) {
-  const auto oldest = std::find_if(mailbox_.begin(), mailbox_.end(), [slot](const Item& item) {
-    return item.kind == Item::Kind::message && item.connector->slot == slot;
-  });
-  if (oldest == mailbox_.end()) return false;
-  mailbox_.erase(oldest);
-  engine_.ledger.drop(*slot);
-  return true;
+Port Executor::port_of(const Slot* slot) const {
+  const auto found = model_.keep.find(slot);
+  return found == model_.keep.end() ? Port{slot, model_.keep_other} : found->second;
+}
+
+bool Executor::make_room(const Port& port, Item& item) {
+  Item* place = nullptr;
+  for (Item& each : mailbox_) {
+    if (each.kind != Item::Kind::message) continue;
+    if (port_of(each.connector->slot).first != port.first) continue;
+    if (place)
+      *place = std::move(each);
+    else
+      engine_.ledger.drop(*each.connector->slot);
+    place = &each;
+  }
+  if (place) *place = std::move(item);
+  return place;
 }
 
 void Executor::drop_waiting() {
@@ -110,7 +121,7 @@ ExecutorState Executor::hand_over() {
 void Executor::take_back(const ExecutorState& state) {
   mailbox_.insert(mailbox_.begin(), state.waiting.begin(), state.waiting.end());
   for (const Item& item : state.waiting)
-    if (item.kind == Item::Kind::message) ++waiting_[item.connector->slot];
+    if (item.kind == Item::Kind::message) ++waiting_[port_of(item.connector->slot).first];
 }
 
 void Executor::restore(const ExecutorState& state) {
@@ -169,7 +180,11 @@ void Executor::work() {
   mailbox_.pop_front();
   const bool is_call = item.kind == Item::Kind::call;
   auto& handlers = is_call ? model_.serves : model_.takes;
-  if (item.kind == Item::Kind::message) --waiting_[item.connector->slot];
+  if (item.kind == Item::Kind::message) {
+    const Slot* const port = port_of(item.connector->slot).first;
+    --waiting_[port];
+    if (std::size_t& left = while_paused_[port]) --left;
+  }
   const auto found = handlers.find(item.connector->slot);
   Handler* handler = found == handlers.end() ? &model_.other : &found->second;
   if (item.kind == Item::Kind::answer) handler = &*model_.answer;

@@ -58,7 +58,7 @@ class Executor {
   // Leave a notice once, when the turn ends that runs now.
   void when_idle(Action notice) { when_idle_ = std::move(notice); }
 
-  // Take a message or a call; the oldest message of its slot makes room.
+  // Take a message or a call; the oldest message of its port makes room.
   void take(Item item);
   // Drop what waits, unless it works and another incarnation runs: of a move nothing may be
   // lost.
@@ -102,8 +102,10 @@ class Executor {
 
   double now() const;
   bool may_work() const { return container_.may_work(is_leased_); }
-  // Make room; return whether there was a message to drop.
-  bool drop_oldest(Slot* slot);
+  Port port_of(const Slot* slot) const;
+  // Drop the oldest message of a port, in whose turn the next one comes, and so on.
+  // Return whether there was one.
+  bool make_room(const Port& port, Item& item);
   // Look again when a timer is due.
   void plan();
   void on_due(double due);
@@ -127,7 +129,9 @@ class Executor {
   bool is_active_ = false, is_wanted_ = false, is_paused_ = false, is_leased_ = false;
   bool is_idle_ = false, is_removed_ = false;
   std::deque<Item> mailbox_;
-  std::unordered_map<const Slot*, std::size_t> waiting_;  // messages in it
+  // Messages by their port; of these, those that came before its last pause ended, which
+  // take no room.
+  std::unordered_map<const Slot*, std::size_t> waiting_, while_paused_;
   std::unordered_map<int, std::uint64_t> markers_;
   std::unordered_map<int, int> latest_;  // connector -> the latest epoch that has sent
   bool is_busy_ = false;

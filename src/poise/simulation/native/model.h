@@ -36,6 +36,12 @@ struct TimerModel {
   Handler handler;
 };
 
+// Where messages wait: one of the slots that lead there, and how many wait at most.
+struct Port {
+  const Slot* first;
+  std::size_t room;
+};
+
 // What a component does.
 struct Model {
   std::vector<TimerModel> timers;
@@ -43,8 +49,8 @@ struct Model {
   Handler other;                                     // and over all others
   std::optional<Handler> answer;  // of a started call: what takes it in a turn of its own
   std::vector<double> factors;  // how much dearer handlers are in each second
-  std::unordered_map<Slot*, std::size_t> keep;  // messages that wait over a slot at most
-  std::size_t keep_other;
+  std::unordered_map<const Slot*, Port> keep;  // those that say how many wait
+  std::size_t keep_other;                // over each other slot
   double release_offset;  // when its timers are due [s], or periods before or after
 };
 

@@ -24,6 +24,7 @@ using Rates = std::vector<std::pair<std::string, double>>;  // by slot
 using ComponentName = std::pair<std::string, int>;
 using Handlers = std::map<std::string, Handler>;
 using TimerRecord = std::tuple<std::string, double, std::optional<double>, Handler>;
+using PortRecord = std::pair<Names, std::size_t>;
 using ChainRecord = std::tuple<std::string, bool, std::optional<double>>;
 
 constexpr auto inside = nb::rv_policy::reference_internal;
@@ -113,14 +114,16 @@ Handler make_handler(Engine& engine, double work, double spread,
 
 const Model& make_model(Engine& engine, const std::vector<TimerRecord>& timers,
                         const Handlers& takes, const Handlers& serves, const Handler& other,
-                        std::vector<double> factors, const std::map<std::string, std::size_t>& keep,
+                        std::vector<double> factors, const std::vector<PortRecord>& keep,
                         std::size_t keep_other, double release_offset,
                         const std::optional<Handler>& answer) {
   Model model{{}, by_slot(engine, takes), by_slot(engine, serves), other, answer,
               std::move(factors), {}, keep_other, release_offset};
   for (const auto& [name, period, deadline, handler] : timers)
     model.timers.push_back({name, period, deadline, handler});
-  for (const auto& [slot, most] : keep) model.keep[&engine.ledger.slot(slot)] = most;
+  for (const auto& [slots, room] : keep)
+    for (const std::string& slot : slots)
+      model.keep[&engine.ledger.slot(slot)] = {&engine.ledger.slot(slots.front()), room};
   return engine.models.emplace_back(std::move(model));
 }
 
