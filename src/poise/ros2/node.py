@@ -9,6 +9,7 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, get_type_hints
 
 import msgspec
@@ -29,6 +30,7 @@ class RosNode(Component):
 
     _start_parameters = frozenset({START})
     _hands_over = False
+    _raised: Exception | None = None
     make: Callable[[], Any]
 
     @classmethod
@@ -52,6 +54,10 @@ class RosNode(Component):
         values = {k: v for k, v in self.parameters.items() if k != START}
         with ros_context.arguments_given([*start["arguments"], *as_arguments(values)]):
             self.node = _made(type(self).make, start["node"])
+        hooks = getattr(self.node, "_callbacks", {})  # of a lifecycle node
+        hooks.update(
+            {state: partial(self._call, hook) for state, hook in hooks.items()}
+        )
         self._transit("configure")
         for name, _ in flat(values):
             self._check_declared(name)
@@ -122,9 +128,27 @@ class RosNode(Component):
         trigger = getattr(self.node, f"trigger_{name}", None)
         if trigger is None:
             return
+        state = self.node._state_machine.current_state[1]  # noqa: SLF001, rclpy says it by a service only
+        if state != _LEFT.get(name, state):
+            return  # an error has led it elsewhere
+        self._raised = None
         result = trigger()
+        if self._raised is not None:
+            raise self._raised
         if result.name != "SUCCESS":
             raise RobotError(f"the lifecycle node's on_{name} returned {result.name}")
+
+    def _call(self, hook: Callable[[object], Any], state: object) -> Any:  # noqa: ANN401, as it is
+        """Call what rclpy calls in a transition, and would not say what it raised."""
+        try:
+            return hook(state)
+        except Exception as error:
+            self._raised = self._raised or error  # not what `on_error` raises then
+            raise
+
+
+_LEFT = {"deactivate": "active", "cleanup": "inactive"}
+"""The states that transitions of a lifecycle node lead from."""
 
 
 def _made(make: Callable[[], Any], reference: str) -> Any:  # noqa: ANN401, a node
