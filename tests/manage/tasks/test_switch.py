@@ -11,6 +11,7 @@ from poise.clock import boot_time
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.deploy.live_robot import DoesNotStart, LiveRobot
 from poise.manage.journal import Journal
+from poise.manage.observe.watch import Watch
 from poise.manage.tasks.switch import LaterError, SlowStarts, prepare, switch
 from poise.model.robot import Robot
 from poise.wire.records.status_records import ComponentStatus, Fault
@@ -105,6 +106,7 @@ def test_what_should_rest_may_be_at_work_until_its_agent_has_answered(
     assert not live.coming_to_rest()
     agents.forget_status("left")
     assert live.coming_to_rest() == [live.prefetched["filter"]]
+    assert not list(Watch(live).change())  # it may as well have rested for long
     agents.gone.add("left")
     assert not live.coming_to_rest()
 

@@ -46,7 +46,7 @@ class Watch:
 
     def change(self) -> Iterator[str]:
         """Yield which components are being changed, in words; from any thread."""
-        live = self._live
+        live, current = self._live, self._live.current()
         desired = live.desired
         names = {n for n, placed in desired.placed.items() if placed.goal != "active"}
         starting = [
@@ -54,11 +54,13 @@ class Watch:
             for each in desired.configured_ahead
             if each.component not in desired.placed
         ]
-        changing = [*desired.coming, *starting, *live.coming_to_rest()]
+        # until its agent has answered, what is idle may as well have rested for long
+        resting = [e for e in live.coming_to_rest() if e.computer in current]
+        changing = [*desired.coming, *starting, *resting]
         names |= {each.component for each in changing}
         if names:
             what = f"being started, moved, replaced or stopped: {listed(sorted(names))}"
-            yield "; ".join([what, *not_at_goals(changing, live.current(), ())])
+            yield "; ".join([what, *not_at_goals(changing, current, ())])
 
     @property
     def num_faults(self) -> int:
