@@ -67,6 +67,19 @@ def test_an_agent_starts_when_the_last_fault_that_ended_it_is_over(
 
 
 @pytest.mark.slow
+def test_what_starts_on_a_computer_that_stands_still_does_so_too() -> None:
+    long = SimulatedFault(0.5, "pause computer", "right", lasts=5.0)
+    short = SimulatedFault(1.0, "kill agent", "right", lasts=0.5)
+    with closing(Rehearsal(plan(long, short))) as rehearsal:
+        rehearsal.come_up()
+        rehearsal.advance(5.0)
+        agent = rehearsal._robot.agents["right"]
+        assert agent.process.is_paused
+        rehearsal.advance(1.0)
+        assert not agent.process.is_paused
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["kill manager", "another manager"])
 def test_no_manager_starts_without_power(kind: SimulatedFaultKind) -> None:
     """A killed one starts when there is power, and goes on with the robot."""

@@ -212,12 +212,16 @@ def _paused_by(robot: SimulatedRobot, fault: SimulatedFault) -> list[Process]:
 
 def _pause(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
     standing = _paused_by(robot, fault)
+    computer = robot.computers[fault.target]
     for process in standing:
         process.pause()
+    if fault.kind == "pause computer":
+        computer.pauses.append(standing)
     if fault.kind == "pause manager" and robot.manager is not None:
         robot.on_moment("paused", robot.manager.process.computer.name)
 
     def resume() -> None:
+        computer.pauses = [each for each in computer.pauses if each is not standing]
         for process in standing:
             process.resume()
 

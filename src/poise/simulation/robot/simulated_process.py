@@ -32,6 +32,7 @@ class SimulatedComputer:
     `drift`: how much quicker its clocks run than virtual time [s/s].
     `cores`, `speed`: of its CPU.
     `wall_ahead`: how far its wall clock is ahead of true time; a fault steps it [s].
+    `pauses`: for each fault that stops the whole computer now, what it stopped.
     """
 
     EPOCH = 1_767_225_600.0
@@ -51,6 +52,7 @@ class SimulatedComputer:
         self.cpu = scheduler.engine.cpu(cores, speed)
         self.wall_ahead = 0.0
         self.processes: dict[int, Process] = {}
+        self.pauses: list[list[Process]] = []
         self._boot = boot
         self._rate = 1.0 + drift
         self._asleep = 0.0
@@ -76,12 +78,15 @@ class SimulatedComputer:
         return self.EPOCH + self.scheduler.now * self._rate + self.wall_ahead
 
     def start(self, name: str) -> Process:
-        """Start a process; it has no task yet, and waits while all is suspended."""
+        """Start a process; it has no task yet, and waits while all stands still."""
         pid = FIRST_PID + self.scheduler.number()
         process = Process(self, f"{self.name}/{name}", pid)
         self.processes[pid] = process
         if self._suspended_at is not None:
             process.pause()
+        for stopped in self.pauses:
+            process.pause()
+            stopped.append(process)
         return process
 
     @property
