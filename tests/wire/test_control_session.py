@@ -3,10 +3,18 @@
 from __future__ import annotations
 
 import contextlib
+import select
+import signal
 import socket
 import struct
+import subprocess
+import sys
+import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 from pathlib import Path
+from typing import IO
 from unittest.mock import Mock
 
 import pytest
@@ -70,6 +78,57 @@ def test_closing_a_link_to_a_computer_that_is_cut_off_keeps_nobody_waiting() -> 
     with open_session(listen=[endpoint]), open_session(connect=[endpoint]):
         wait_until(lambda: len(connections(endpoint)) == 2)
         wait_until(lambda: not any(map(lingers, connections(endpoint))))
+
+
+FROZEN = """
+import sys, threading
+from poise.wire.control_session import open_session
+
+session = open_session(connect=[sys.argv[1]])
+kept = session.declare_subscriber("states", lambda _: print("got", flush=True))
+threading.Event().wait()
+"""
+
+
+def has_heard(session: zenoh.Session, said: IO[bytes]) -> bool:
+    """Return whether a subscriber says that it hears what is put."""
+    session.put("states", b"")
+    return bool(select.select([said], [], [], 0.05)[0])
+
+
+@pytest.mark.slow
+def test_a_large_message_to_a_peer_that_stands_still_silences_no_other() -> None:
+    """The others ended their sessions after 2 s, and were back after 5 s."""
+    endpoint, block = f"tcp/127.0.0.1:{free_port()}", zenoh.CongestionControl.BLOCK
+    heard: list[float] = []
+    with (
+        open_session(listen=[endpoint]) as session,
+        open_session(connect=[endpoint]) as other,
+        subprocess.Popen(
+            [sys.executable, "-c", FROZEN, endpoint], stdout=subprocess.PIPE
+        ) as frozen,
+        ThreadPoolExecutor() as pool,
+    ):
+        said = frozen.stdout
+        assert said is not None
+        kept = other.declare_subscriber(
+            "news", lambda _: heard.append(time.monotonic())
+        )
+        try:
+            wait_until(lambda: has_heard(session, said))
+            frozen.send_signal(signal.SIGSTOP)
+            sent = pool.submit(
+                session.put, "states", bytes(50_000_000), congestion_control=block
+            )
+            began = time.monotonic()
+            while time.monotonic() < began + 4.0 or not sent.done():
+                session.put("news", b"")
+                time.sleep(0.05)
+        finally:
+            frozen.kill()
+        del kept
+    since = [began, *(at for at in heard if at > began), time.monotonic()]
+    assert max(later - at for at, later in pairwise(since)) < 1.5
 
 
 def connections(endpoint: str) -> list[int]:

@@ -25,6 +25,8 @@ waits that double, so a cut of 0.5 s may silence it for 1.5 s."""
 UNCUT_SESSION_TIMEOUT = 10.0
 """The same of peers that nothing can cut off, but that may have to wait for CPU."""
 
+_GIVEN_UP_AFTER = "transport/link/tx/queue/congestion_control/block/wait_before_close"
+
 COMMAND_LIMIT = 60.0
 """A manager answers within this time [s]; moves of large states take the longest."""
 _CLOSE_LIMIT = 0.1
@@ -60,6 +62,9 @@ def open_session(
         "scouting/gossip/enabled": False,
         "open/return_conditions/connect_scouted": False,
         "transport/link/tx/lease": int(timeout * 1000),
+        # a peer that takes nothing of a large message is given up before its lease
+        # ends: zenoh would then close it, and send nothing to any peer until it gave up
+        _GIVEN_UP_AFTER: int(timeout * 1e6 / 2),
         # shared memory would pass through network namespaces, and between containers
         # of one computer Poise has better
         "transport/shared_memory/enabled": False,
