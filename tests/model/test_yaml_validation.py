@@ -85,7 +85,7 @@ def test_refuses_a_missing_key(refuse: Refuse) -> None:
             robot(
                 "tasks: {t: {actions: [{name: a, functions: [], ▸on failure: redo}]}}"
             ),
-            ["'redo' is not one of 'give up', nor a mapping with one of 'retry'"],
+            ["'redo' is not 'give up', nor a mapping with one of 'retry'"],
         ),
         (robot("objective: {▸balance: .nan}"), ["'.nan' is not a number"]),
         (robot("objective: {weights: {▸cpu: .inf}}"), ["'.inf' is not a number"]),

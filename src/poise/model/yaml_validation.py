@@ -273,7 +273,8 @@ def _choice(text: str, kind: types.LiteralType, notes: Notes) -> str:
         likely = did_you_mean(text, choices)
         if tags := notes.get("or"):
             likely += f", nor a mapping with one of {listed(tags)}"
-        raise ValueError(f"{quoted(text)} is not one of {listed(choices)}{likely}")
+        one_of = "one of " if len(choices) > 1 else ""
+        raise ValueError(f"{quoted(text)} is not {one_of}{listed(choices)}{likely}")
     return text
 
 

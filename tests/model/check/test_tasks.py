@@ -167,7 +167,7 @@ def test_accepts(find: Find, step: str) -> None:
         ),
         (
             "{name: a, functions: [], ▸on failure: give in}",
-            ["'give in' is not one of 'give up'"],
+            ["'give in' is not 'give up'"],
         ),
         (
             "{name: a, functions: [], on failure: {▸retry: 0}}",
