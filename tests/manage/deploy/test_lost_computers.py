@@ -112,6 +112,33 @@ def test_a_cut_ends_no_state(robot: Robot) -> None:
     assert live.lost_states == {}
 
 
+@pytest.mark.parametrize(
+    ("placement", "more"),
+    [
+        (PLACEMENT, "; its components keep running"),
+        (dict.fromkeys(PLACEMENT, "left"), ""),
+    ],
+)
+def test_of_a_computer_that_is_reached_at_last_only_what_is_there_goes_on(
+    robot: Robot, placement: dict[str, str], more: str
+) -> None:
+    """Of what was replaced meanwhile, the old copies end."""
+    agents, journal = FakeAgents("left", "right"), Journal(":memory:")
+    live = LiveRobot(robot, placement, cast("Agents", agents), journal, "/run")
+    live.start()
+    status = agents.statuses()["right"]
+    agents.forget_status("right")
+    agents.gone.add("right")
+    lost = LostComputers(live)
+    lost.note()
+    agents.gone.clear()
+    agents.report(status)
+    for _ in range(3):
+        live.reconcile()
+        lost.note()
+    assert journal.entries()[-1].what == f"computer 'right' is reached{more}"
+
+
 def lose_folder(live: LiveRobot, agents: FakeAgents) -> LostComputers:
     """Let the agent of ``right`` come back, with nothing in its folder."""
     lost = LostComputers(live)

@@ -196,7 +196,9 @@ class LostComputers:
         lost = self._lost_with.pop(computer, ())
         what = f"computer '{computer}' is reached again"
         if before is None:
-            what = f"computer '{computer}' is reached; its components keep running"
+            what = f"computer '{computer}' is reached"
+            if any(each.computer == computer for each in live.placed.values()):
+                what += "; its components keep running"
         elif before != status.start:
             self._begin_again |= dict.fromkeys(lost, computer)
             what = f"the agent of '{computer}' was restarted"
