@@ -59,6 +59,18 @@ def test_equal_faults_are_one_sentence_with_number_and_last_time() -> None:
     ]
 
 
+def test_old_faults_of_an_agent_that_is_reached_late_are_not_new() -> None:
+    """An earlier manager has told of them, if they are older than this one."""
+    filtered = FaultFilter({}, since=100.0)
+    agent = status(1, 2)["left"]
+    old, young = agent.faults
+    faults = replace(old, uptime=400.0), replace(young, uptime=495.0)
+    late = {"left": replace(agent, uptime=500.0, faults=faults)}
+    assert [fault.message for _, fault in filtered.new(late, 110.0)] == ["f2"]
+    assert not [*filtered.new(late, 110.2)]
+    assert filtered.count == 1
+
+
 def test_of_an_endless_crash_loop_a_line_a_minute_is_told() -> None:
     """One fault each 5 s for 3 minutes: five lines, and then one a minute."""
     told = []

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import defaultdict, deque
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from collections.abc import Set as AbstractSet
+from math import inf
 from typing import TYPE_CHECKING
 
 from msgspec import Struct
@@ -252,17 +253,23 @@ class FaultFilter:
     """Selects the faults to report: of a container with very many, one a minute.
 
     The first `_FIRST` faults of a container within `_WINDOW` are reported one by one.
+
+    `since`: of an agent that is not in `before`, none is reported from before this [s].
     """
 
-    def __init__(self, before: Numbers) -> None:
+    def __init__(self, before: Numbers, since: float = -inf) -> None:
         self.count = 0
         """How many faults there were, reported or not."""
         self._known = before
+        self._since = since
         self._of: dict[tuple[str, str], _Faults] = {}
 
     def new(self, statuses: Statuses, now: float) -> Iterator[tuple[str, Fault]]:
         """Yield the faults to report at `now` [s] with sentences, oldest first."""
         for computer, fault in faults_after(self._known, statuses):
+            age = statuses[computer].uptime - fault.uptime
+            if computer not in self._known and now - age < self._since:
+                continue
             self.count += not fault.is_over
             known = self._of.setdefault((computer, fault.container), _Faults())
             more = known.add(fault, now)

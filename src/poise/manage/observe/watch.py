@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping
 from collections.abc import Set as AbstractSet
+from math import inf
 
 from poise.clock import wall_time
 from poise.errors import listed
@@ -24,6 +25,8 @@ from poise.manage.observe.deviations import (
 )
 from poise.manage.observe.troubles import CodeErrors
 
+_TAKE_OVER = 10.0
+"""A robot is taken over within this time [s]."""
 _LASTS = 2.0
 """A connector that is not joined, or a container that should not run, is a deviation
 after this time [s]: it takes a moment to join one, and to end one."""
@@ -38,7 +41,9 @@ class Watch:
         self._live = live
         self._new: dict[str, tuple[Deviation, float]] = {}
         """What has to last, and since when it is so [s]."""
-        self._faults = FaultFilter(live.faults_before)
+        # what was before at an agent that is reached late, another manager reported
+        since = time.monotonic() - _TAKE_OVER if live.has_taken_over else -inf
+        self._faults = FaultFilter(live.faults_before, since)
         self.code_errors = CodeErrors(live.journal.note)
         if live.has_taken_over:
             known = live.current()
