@@ -12,7 +12,8 @@ from msgspec import Struct
 from poise.model.file_keys import Reference, note, says
 
 _WORD = r"[A-Za-z_][A-Za-z0-9_]*"
-_NAME = r"[/~]?[A-Za-z_~{][\w/{}~]*"
+_PART = r"([A-Za-z_]|\{\w*\})(\w|\{\w*\})*"
+_NAME = rf"(~(/{_PART})*|/?{_PART}(/{_PART})*)"
 RosName = Annotated[
     str,
     note(

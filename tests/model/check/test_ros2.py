@@ -89,6 +89,8 @@ def node_with(key: str) -> str:
         (node_with("remap: {▸'': /a}"), ["'' is not allowed"]),
         (node_with("remap: {▸a: ''}"), ["'' is not allowed"]),
         (node_with("remap: {▸a: b c}"), ["'b c' is not allowed"]),
+        (node_with("remap: {▸a: /b/}"), ["'/b/' is not allowed"]),
+        (DRIVE + "ros2: {bridges: [{▸ros2: /a/1b, port: drive.a}]}\n", ["'/a/1b' is"]),
         (node_with("params_files: [▸'']"), ["is empty"]),
     ],
 )
@@ -101,6 +103,7 @@ def test_refuses_what_cannot_run(refuse: Refuse, text: str, words: list[str]) ->
     [
         "params: {qos_overrides: {/tf.publisher.depth: 1}, a/b: x, c: [1.0, 2.5]}",
         "remap: {node:scan: /scan, 'rostopic://a': ~/b, ~/c: d, __node: e}",
+        "remap: {a: '{ns}/x_{node}/b__', b: ~, c: _a/_}, namespace: /",
     ],
 )
 def test_takes_what_ros2_takes(find: Find, key: str) -> None:
