@@ -58,9 +58,12 @@ class EmulatedSet:
             raise UsageError(message)
         return now.kept
 
-    def is_crashed(self, computer: str) -> bool:
-        """Return whether a computer was crashed, and not booted since."""
-        return _find(list(self.state().faults), "crashed", (computer,)) is not None
+    def is_down(self, computer: str) -> bool:
+        """Return whether a computer was crashed or frozen, and not booted since."""
+        return any(
+            fault.kind in {"crashed", "frozen"} and fault.on == (computer,)
+            for fault in self.state().faults
+        )
 
     def cut(self, computer: str, other: str | None = None) -> None:
         """Cut two computers from each other, or one from all and from the manager.

@@ -10,6 +10,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -238,6 +239,17 @@ def test_a_killed_agent_is_started_again(kept: EmulatedSet, file: Path) -> None:
         wait_long(lambda: agent_of(kept, "right") != first)
         robot = poise.connect(kept.robot)
         wait_long(lambda: not robot.status().out_of_reach)
+
+
+def test_nothing_starts_on_a_frozen_computer(kept: EmulatedSet) -> None:
+    before = agent_of(kept, "left")
+    assert emulate(kept, "freeze", "left").returncode == 0
+    os.kill(before, signal.SIGKILL)
+    time.sleep(1.5)  # it would be started again within a second
+    running = kept.computers["left"].running()
+    assert not [pid for pid in running if state_of(pid) not in "TZ"]
+    assert emulate(kept, "boot", "left").returncode == 0
+    wait_long(lambda: agent_of(kept, "left") != before)
 
 
 def test_a_load_takes_what_it_is_to_take(kept: EmulatedSet) -> None:

@@ -152,7 +152,7 @@ class EmulatedAgents:
         try:
             with locked():  # or it might start while its computer is being crashed
                 ended = 0 <= code != BROKEN  # as it was asked, or as it had to
-                stays_down = self._kept.is_crashed(name) if self._kept else ended
+                stays_down = self._kept.is_down(name) if self._kept else ended
                 if stays_down:
                     return
                 self._start(name)
