@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from asyncio import CancelledError
 from collections.abc import Iterator
 from unittest.mock import Mock
@@ -16,7 +17,7 @@ from poise.errors import RunError
 from poise.runtime.component.ports import Port
 from poise.runtime.hosting.runner import Runner
 from poise.runtime.hosting.wiring import Wiring
-from poise.runtime.migration.executor import MigrationExecutor
+from poise.runtime.migration.executor import MigrationExecutor, Participant
 from poise.wire.records.deployment_records import (
     ComponentSpec,
     ConnectorSpec,
@@ -202,6 +203,16 @@ def test_code_with_another_port_takes_nobodys_place() -> None:
     outcome = executor.receive(batch(step))()
     assert isinstance(outcome, StepsFailed)
     assert outcome.reason.startswith("the types differ: 'one.scan' publishes int")
+
+
+def test_activate_is_not_blamed_for_the_time_that_a_state_took() -> None:
+    spec = ComponentSpec(name="one", goal="inactive")
+    runner = Runner(spec, Nothing, SystemClock(), lambda: None)  # not started yet
+    participant = Participant(runner, "target", 1, Mock())
+    with pytest.raises(RunError, match="no time was left for `activate`"):
+        participant.run(Step("activate", "one", 0), 0.0)
+    with pytest.raises(RunError, match="`activate` has not ended after"):
+        participant.run(Step("activate", "one", 0), time.monotonic() + 0.005)
 
 
 @pytest.mark.slow

@@ -125,6 +125,8 @@ class Participant:
         runner.aim("ready")
         if runner.life_cycle.wait_state({"active", "failed"}, limit) != "active":
             late = f"`activate` has not ended after {limit:.3g} s"
+            if limit == 0:  # the steps before took it all
+                late = "no time was left for `activate`"
             error = runner.status().error or late
             raise RunError(f"component '{runner.spec.name}' is not activated: {error}")
 
