@@ -147,3 +147,13 @@ def test_a_drawing_without_a_task_is_of_all_functions_and_says_so() -> None:
     assert drawn.count("«component»") > of_first.count("«component»")
     said = " ".join(run_poise("draw", "-h").stdout.replace("│", " ").split())
     assert "The task. Default: all functions." in said
+
+
+@pytest.mark.parametrize("text", ["vision", "vision:cpu=x", "vision:cpu=1,cpu=2"])
+def test_a_computer_that_is_no_computer_is_named_by_its_own_option(
+    text: str, tmp_path: Path
+) -> None:
+    words = ["ros2", "import", "--computer", text, "-o", str(tmp_path / "robot.yaml")]
+    result = CliRunner().invoke(build(words), words)
+    assert isinstance(result.exception, UsageError)
+    assert str(result.exception).startswith(f"--computer '{text}': ")

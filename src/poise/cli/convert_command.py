@@ -179,7 +179,7 @@ def import_command(
     if not output.absolute().parent.is_dir():
         raise UsageError(f"--output {output}: there is no folder for it")
     _check_name("--name", name)
-    computers = _keys(map(computer_of, computer or ()))
+    computers = _keys(computer_of(each, "--computer") for each in computer or ())
     sys.stderr.write(f"watching ROS 2 for {seconds:g} s\n")
     imported = import_robot(
         seconds, name=name, folder=output.absolute().parent, computers=computers

@@ -444,7 +444,7 @@ def changed_problem(
     if without:
         problem = plan.without(problem, without, fewer=fewer)
     for text in add:
-        computer = computer_of(text)
+        computer = computer_of(text, "--add")
         known = dict.fromkeys(("cpu", "memory", *problem.resources))
         for resource in computer.capacity.keys() - known:
             raise UsageError(f"--add {text!r}: {unknown('resource', resource, known)}")
@@ -454,22 +454,23 @@ def changed_problem(
     return problem
 
 
-def computer_of(text: str) -> Computer:
+def computer_of(text: str, option: str) -> Computer:
     """Return the computer that ``NAME:cpu=2,memory=4GiB`` describes."""
+    what = f"{option} {text!r}"
     name, colon, rest = text.partition(":")
     if not name or not colon:
-        raise UsageError(f"--add {text!r}: write NAME:cpu=2,memory=4GiB")
+        raise UsageError(f"{what}: write NAME:cpu=2,memory=4GiB")
     given: dict[str, str] = {}
     for part in filter(None, rest.split(",")):
-        key, value = _pair(f"--add {text!r}", part)
+        key, value = _pair(what, part)
         if key in given:
             raise UsageError(
-                f"--add {text!r}: {key} is both {given[key]} and {value}; name it once"
+                f"{what}: {key} is both {given[key]} and {value}; name it once"
             )
         given[key] = value
     return Computer(
         name=name,
-        capacity={k: _amount(f"--add {text!r}", k, x) for k, x in given.items()},
+        capacity={k: _amount(what, k, x) for k, x in given.items()},
     )
 
 
