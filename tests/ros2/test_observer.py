@@ -80,3 +80,12 @@ def test_says_which_names_several_nodes_have() -> None:
     ended, twice = remarks_on({"/gone", "/ear"}, ["/ear", "/mouth", "/ear"])
     assert ended == "/gone ended meanwhile"
     assert twice.startswith("2 nodes are called /ear, of which at most one is seen")
+
+
+@pytest.mark.slow
+def test_says_why_ros2_does_not_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    from poise.session.ros2_import.observer import observe  # noqa: PLC0415, as above
+
+    monkeypatch.setenv("ROS_DOMAIN_ID", "seven")
+    with pytest.raises(RunError, match=r"does not start: .* is not an integral number"):
+        observe(1.0)

@@ -127,7 +127,10 @@ class _Ends(Struct):
 
 def observe(seconds: float) -> Graph:
     """Return what is seen of this environment's graph; RunError: no node was found."""
-    rclpy.init(args=[])
+    try:
+        rclpy.init(args=[])
+    except RuntimeError as error:  # such as a domain that is no number
+        raise RunError(f"ROS 2 does not start: {error}") from None
     try:
         node = Node(_NAME, enable_rosout=False, start_parameter_services=False)
         try:
