@@ -185,7 +185,7 @@ class Talker(Node):
     def __init__(self):
         super().__init__("talker")
         self.count = 0
-        self.counts = self.create_publisher(Int32, "/count", 100)
+        self.counts = self.create_publisher(Int32, "/count", 2000)
         self.create_timer(0.005, self.tick)
 
     def tick(self):
@@ -198,7 +198,8 @@ class Ear(Node):
         self.declare_parameter("folder", "")
         self.path = self.get_parameter("folder").value + "/took"
         self.took = []
-        self.create_subscription(Int32, "/count", self.take, 100)
+        # on a busy machine a node gets no CPU for seconds
+        self.create_subscription(Int32, "/count", self.take, 2000)
 
     def take(self, message):
         self.took.append(message.data)

@@ -499,6 +499,7 @@ def test_a_one_way_call_that_is_refused_counts_as_a_message(pair: Pair) -> None:
     with pytest.raises(CannotCross):
         source.sums.add("one", 2)  # type: ignore[arg-type]
     source.sums.note(1)  # type: ignore[arg-type]
+    wait_until(lambda: pair.sides["target"].status()[0].refused)
     assert source.sums.add(1, 2) == 3
     (end,) = pair.sides["target"].status()
     assert (end.errors, end.refused) == (2, 1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from asyncio import CancelledError
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -228,6 +229,7 @@ def test_what_it_writes_about_its_state_is_its_own(
 ) -> None:
     """It had the name of its container, and `poise log COMPONENT` did not show it."""
     monkeypatch.setattr(output, "_BEING_WRITTEN", 0)
+    monkeypatch.setattr(output, "_here", threading.local())
     log = OutputFile(tmp_path, "hall")
 
     class Talkative(Book):
