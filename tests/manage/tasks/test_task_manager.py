@@ -622,6 +622,25 @@ def with_lesser(robot: Robot) -> Robot:
     return replace(robot, architectures=(*robot.architectures, lesser))
 
 
+def test_an_alternative_takes_the_place_of_what_leaves_no_room() -> None:
+    actions = act("a", "see"), act("b", "go", "see", "say")
+    rig = Rig(with_lesser(robot_with(task("t", *actions))), "t")
+    assert rig.active() == {"seeer"}
+    rig.end("seeer")
+    assert rig.states() == {"t": ("going", "")}
+    assert rig.active() == {"goer", "sayer", "glancer"}
+    assert rig.resting() == {"seeer"}
+    assert any("takes the place of 'see-arch': " in said for said in rig.said())
+
+
+def test_no_alternative_takes_the_place_of_what_another_action_uses() -> None:
+    more = act("b", "go", "say")
+    tasks = task("t", act("a", "see")), task("u", more)
+    rig = Rig(with_lesser(robot_with(*tasks)), "t", "u")
+    assert rig.active() == {"seeer"}
+    assert rig.states()["u"][0] == "waiting"
+
+
 def after_replace() -> Rig:
     """Return two actions that see, amid the first, after `poise replace`."""
     actions = (Action(name=name, functions=("see",)) for name in "ab")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import suppress
@@ -33,6 +34,7 @@ class Room(Struct, frozen=True, kw_only=True):
     """Where functions go, or why they do not fit."""
 
     begins: Mapping[str, str] = {}  # component -> computer, of what does not run yet
+    ends: Collection[str] = ()  # components whose place an alternative takes
     moves: tuple[TransitionStep, ...] = ()  # what moves before, to make room
     why: str = ""  # why there is no room; empty: there is
 
@@ -240,6 +242,16 @@ class Admission:
                 by_plan = self._with_resting(by_plan, functions)
         going = self._tasks.going()
         whole = self._beside(situation, going, left_out, by_plan)
+        if whole.why and (gone := self._exchangeable(new)):
+            left = {n: at for n, at in situation.placement.items() if n not in gone}
+            there = replace(situation, placement=left)
+            other = self._beside(there, going, left_out, by_plan)
+            ends = gone - other.begins.keys()
+            if not other.why and len(ends) == len(gone):
+                names = sorted({f"'{robot.architecture_of(n).name}'" for n in ends})
+                what = f"an alternative takes the place of {', '.join(names)}"
+                self._live.journal.note("decided", f"{what}: {whole.why}")
+                return replace(other, ends=sorted(ends))
         if not whole.why:
             return whole
         for count in range(len(going) - 1, 0, -1):
@@ -252,6 +264,26 @@ class Admission:
                 return whole
         self._end_or_block(going[0], whole.why)
         return whole
+
+    def _exchangeable(self, new: Iterable[tuple[TaskRecord, Attempt]]) -> set[str]:
+        """Return the components of alternatives that only actions need which begin."""
+        going = self._tasks.going()
+        at_work = {
+            function
+            for record in going
+            for attempt in self._tasks.tries(record)
+            if attempt.progress.since is not None
+            for function in attempt.action.functions
+        }
+        functions = {f for _, attempt in new for f in attempt.action.functions}
+        provided = Counter(a.function for a in self._live.robot.architectures)
+        return {
+            component.name
+            for a in self._serving.moving()
+            if a.function in functions - at_work and provided[a.function] > 1
+            for component in a.components
+            if component.name in self._live.placed
+        }
 
     def _with_resting(
         self, by_plan: Mapping[str, str], functions: Collection[str]

@@ -209,7 +209,7 @@ class TaskManager:
         since = min(self._since, self._slow.since(begins))
         heard = self._component_reports.ends()
         try:
-            stops = self._make_room(room, begins, stops)
+            stops = self._make_room(room, begins, [*stops, *room.ends])
             if stops or begins:
                 is_hit = switch(live, stops, begins)
         except LaterError as error:
