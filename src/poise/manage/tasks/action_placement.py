@@ -248,8 +248,8 @@ class Admission:
             other = self._beside(there, going, left_out, by_plan)
             ends = gone - other.begins.keys()
             if not other.why and len(ends) == len(gone):
-                names = sorted({f"'{robot.architecture_of(n).name}'" for n in ends})
-                what = f"an alternative takes the place of {', '.join(names)}"
+                old = sorted({f"'{robot.architecture_of(n).name}'" for n in ends})
+                what = f"an alternative takes the place of {', '.join(old)}"
                 self._live.journal.note("decided", f"{what}: {whole.why}")
                 return replace(other, ends=sorted(ends))
         if not whole.why:
