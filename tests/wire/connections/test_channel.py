@@ -864,3 +864,18 @@ def test_nobody_waits_for_a_container_that_stands_still(
         frozen.listen(64)
         with pytest.raises(Unavailable, match="no answer from"):
             channels[0].request(call("a"), SHORT)
+
+
+def test_a_message_that_waits_for_a_silent_computer_ends_when_that_is_given_up(
+    tmp_path: Path,
+) -> None:
+    """So a component whose publisher waits there can move away from it."""
+    with socket.create_server(("127.0.0.1", 0)) as silent, ThreadPoolExecutor() as pool:
+        gateway = Endpoint("127.0.0.1", silent.getsockname()[1])
+        channel = Channel("echo", Address("there", gateway), tmp_path)
+        pushed = pool.submit(channel.push, message("a"), 10 * LIMIT)
+        with silent.accept()[0]:
+            channel.give_up()
+            with pytest.raises(Unavailable, match="no answer from"):
+                pushed.result(LIMIT)
+        channel.close()

@@ -27,7 +27,8 @@ class Closed(Unavailable):
 
 
 _PAUSE = 0.05
-"""After a refusal it is not tried for this time [s]."""
+"""After a refusal it is not tried for this time, and a message that waits notices so
+often that the other computer is taken for lost [s]."""
 _SPARE = 8
 """Connections kept open per connector when no call uses them."""
 _IDLE = 30.0
@@ -134,7 +135,7 @@ class Channel:
         self._calls, self._messages = self._connections = _Connections(), _Connections()
         self._openings: dict[int, Opening] = {}
         self._is_closed = False
-        self._is_lost = False
+        self._is_lost = self._is_given_up = False
         self._refusal = ""
         self._ordering = threading.Lock()
         self._looked_at = time.monotonic()
@@ -204,7 +205,7 @@ class Channel:
 
     def give_up(self) -> None:
         """Take the other computer for lost: messages do not wait for it any more."""
-        self._is_lost = self._address.gateway is not None
+        self._is_lost = self._is_given_up = self._address.gateway is not None
         self._messages.end()
 
     def close(self) -> None:
@@ -247,12 +248,18 @@ class Channel:
 
     def _connect(self, use: int, deadline: float) -> Connection:
         """Return a new connection; a message waits for a silent computer only once."""
-        waits = use == CALLS or not self._is_lost
-        connection = self._opened(use, deadline if waits else 0.0)
-        if connection is None:
-            self._is_lost = self._address.gateway is not None
-            raise Unavailable(f"{self._connector}: no answer from {self._address}")
-        return connection
+        self._is_given_up = False
+        until = deadline if use == CALLS or not self._is_lost else 0.0
+        while True:
+            look_at = time.monotonic() + _PAUSE if use == MESSAGES else until
+            connection = self._opened(use, min(until, look_at))
+            if connection is not None:
+                return connection
+            has_ended = self._is_given_up or self._is_closed
+            if has_ended or time.monotonic() >= until:
+                break
+        self._is_lost = self._address.gateway is not None
+        raise Unavailable(f"{self._connector}: no answer from {self._address}")
 
     def _is_reached(self) -> bool:
         """Open a connection as far as that needs no wait; whether it is open."""
