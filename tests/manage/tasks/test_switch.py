@@ -65,8 +65,8 @@ def test_what_is_prepared_begins_as_it_is_there_and_anew_elsewhere(
     agents.gone.add("left")
     switch(live, (), {"thinker": "right"})
     said = [each.what for each in live.journal.entries() if "anew" in each.what]
-    anew = ["'thinker' begins anew on 'left', for not all that is needed now fits"]
-    anew += ["'thinker' begins anew on 'right', for 'left', where it was idle"]
+    anew = ["'thinker' begins anew on 'left': not all that is needed now fits"]
+    anew += ["'thinker' begins anew on 'right': 'left', where it was idle"]
     assert said == [f"{anew[0]} where it was idle", f"{anew[1]}, is out of reach"]
 
 

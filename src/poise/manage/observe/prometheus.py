@@ -98,7 +98,7 @@ class MetricsServer:
 
 
 class _Server(ThreadingMixIn, WSGIServer):
-    """Serves a few requests at a time, each on its thread, whoever else connects."""
+    """Serves at most `MOST_CLIENTS` requests at a time, each on its own thread."""
 
     daemon_threads = True
     request_queue_size = 128

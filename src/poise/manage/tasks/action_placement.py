@@ -266,7 +266,10 @@ class Admission:
         return whole
 
     def _exchangeable(self, new: Iterable[tuple[TaskRecord, Attempt]]) -> set[str]:
-        """Return the components of alternatives that only actions need which begin."""
+        """Return what runs, has alternatives, and is used by no action at work.
+
+        Components of functions that actions need which are to begin (`new`).
+        """
         going = self._tasks.going()
         at_work = {
             function

@@ -92,7 +92,7 @@ def switch(live: LiveRobot, ends: Collection[str], begins: Mapping[str, str]) ->
             why = "not all that is needed now fits where it was idle"
             if before.computer in away:
                 why = f"'{before.computer}', where it was idle, is out of reach"
-            live.journal.note("decided", f"'{name}' begins anew on '{at}', for {why}")
+            live.journal.note("decided", f"'{name}' begins anew on '{at}': {why}")
     idle = [
         replace(
             live.placed[name],

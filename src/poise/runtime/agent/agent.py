@@ -450,8 +450,8 @@ class Agent:
 
 
 _MOST_FILES = 1 << 16
-"""Descriptors of an agent, if it may have so many: once a thousand strangers that said
-nothing had taken all, zenoh would take no more connections, also when they had left."""
+"""The most descriptors that an agent allows itself. With the usual 1,024, a thousand
+silent strangers take them all, and zenoh accepts nobody even after they have left."""
 
 
 def _allow_files() -> None:

@@ -52,7 +52,7 @@ _MOST_WAITING = 64
 """So many requests wait in a container; further ones are refused."""
 _LOOK_EVERY = 0.005
 _SHORT = 0.01
-"""Who waited less for its turn is told of it no more [s]."""
+"""A shorter wait behind other requests is not mentioned [s]."""
 
 
 class Away(Exception):
