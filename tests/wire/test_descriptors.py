@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import socket
+import time
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from poise.errors import Unavailable
 from poise.runtime.container.agent_link import Orphan, hand_over, take_over
 from poise.wire import frame
 from poise.wire.codec import WireError
+from poise.wire.connections.connection import Connection
 from poise.wire.frame import LENGTH
 
 pytestmark = pytest.mark.slow
@@ -51,7 +53,7 @@ def test_files_that_belong_to_no_frame_end_the_connection() -> None:
         for byte in framed("x" * 20):
             socket.send_fds(theirs, [bytes([byte])], [0])
         with pytest.raises(Unavailable):
-            frame.receive_record(ours, Word)
+            Connection(ours).receive(time.monotonic() + frame.RECORD_LIMIT)
         assert num_open() == before
 
 

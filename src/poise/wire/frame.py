@@ -34,13 +34,12 @@ import socket
 import struct
 import time
 from enum import IntEnum
-from typing import Any, BinaryIO
+from typing import Any
 
 from msgspec import Struct
 
 from poise.errors import Timeout, Unavailable, encodable
 from poise.wire import _channel
-from poise.wire.address import LOST_AFTER
 from poise.wire.codec import Bytes, Codec, Unreadable, codec
 
 VERSION = 2
@@ -128,61 +127,54 @@ def size_of(pieces: Pieces) -> int:
 
 def send_record(connection: socket.socket, record: Struct) -> None:
     """Send a record within `RECORD_LIMIT`; after Timeout close the connection."""
-    deadline = time.monotonic() + RECORD_LIMIT
-    _channel_of(connection).send(_pieces(record), deadline, LARGEST)
-
-
-def receive_record(connection: socket.socket, type_: Any) -> Any:  # noqa: ANN401, as `Codec`
-    """Return the next record of `type_` from a stream socket, within `RECORD_LIMIT`."""
-    return _record(receive_frame(connection, time.monotonic() + RECORD_LIMIT), type_)
-
-
-def receive_frame(
-    connection: socket.socket, deadline: float, largest: int = LARGEST
-) -> Frame:
-    """Return the next frame until `deadline` [s], and read nothing behind it."""
-    received = _channel_of(connection).receive(deadline, largest, {})
-    if not isinstance(received, Frame):
-        raise Unreadable("a frame with shared memory, which is not for this socket")
-    return received
+    RecordWriter(connection).send(record)
 
 
 def send_packet(connection: socket.socket, packet: Bytes) -> None:
     """Send what `pack_record` returned over a stream, within `RECORD_LIMIT`."""
-    connection.settimeout(RECORD_LIMIT)
-    connection.sendall(LENGTH.pack(len(packet), 0))
-    connection.sendall(packet)
+    RecordWriter(connection).send_packet(packet)
 
 
-def receive_packet(connection: socket.socket) -> bytes:
-    """Return the next record of a stream as one packet, within `RECORD_LIMIT`."""
-    connection.settimeout(RECORD_LIMIT)
-    with connection.makefile("rb") as stream:
-        length, _ = LENGTH.unpack(_exactly(stream, LENGTH.size))
-        if length > LARGEST:
-            raise Unreadable(f"a frame of {length} B; {LARGEST} B is the largest")
-        return _exactly(stream, length)
+def receive_record(connection: socket.socket, type_: Any) -> Any:  # noqa: ANN401, as `Codec`
+    """Return the next record of `type_` from a stream socket, within `RECORD_LIMIT`."""
+    return unpack_record(receive_packet(connection), type_)
 
 
-def _exactly(stream: BinaryIO, size: int) -> bytes:
-    data = stream.read(size)
-    if len(data) < size:
-        raise Unavailable("the connection was closed")
-    return data
+def receive_packet(
+    connection: socket.socket, deadline: float | None = None, largest: int = LARGEST
+) -> bytes:
+    """Return the next frame, by `RECORD_LIMIT` from now, and read nothing behind it.
+
+    `deadline`: by this moment [s] instead; `largest`: a larger frame is refused.
+    """
+    reader = RecordReader(connection, largest)
+    until = time.monotonic() + RECORD_LIMIT if deadline is None else deadline
+    while (packet := reader.next_packet()) is None:
+        _wait(connection, select.POLLIN, until, "sent no whole frame in time")
+    return packet
 
 
 class RecordReader:
     """Reads records from a stream socket as they come; never waits for the rest."""
 
-    def __init__(self, connection: socket.socket) -> None:
+    def __init__(self, connection: socket.socket, largest: int = LARGEST) -> None:
         self._connection = connection
+        self._largest = largest
         self._data = bytearray()
 
     def next(self, type_: Any) -> Any:  # noqa: ANN401, as `Codec`
         """Return the next record, or None when not all of it has come yet."""
+        packet = self.next_packet()
+        return None if packet is None else unpack_record(packet, type_)
+
+    def next_packet(self) -> bytes | None:
+        """Return the next record as a packet, or None when not all of it has come."""
         while missing := self._missing():
             try:
-                data = self._connection.recv(min(missing, _PIECE), socket.MSG_DONTWAIT)
+                # not `ssl`'s: a refusal comes before the handshake
+                data = socket.socket.recv(
+                    self._connection, min(missing, _PIECE), socket.MSG_DONTWAIT
+                )
             except BlockingIOError:
                 return None
             except OSError as error:
@@ -190,16 +182,17 @@ class RecordReader:
             if not data:
                 raise Unavailable("the other end is gone")
             self._data += data
-        data = bytes(self._data[LENGTH.size :])
+        packet = bytes(self._data[LENGTH.size :])
         self._data.clear()
-        return unpack_record(data, type_)
+        return packet
 
     def _missing(self) -> int:
         if len(self._data) < LENGTH.size:
             return LENGTH.size - len(self._data)
         length, block = LENGTH.unpack_from(self._data)
-        if length > LARGEST or block:
-            raise Unreadable(f"a frame of {length} B; {LARGEST} B is the largest")
+        _check_size(length, self._largest)
+        if block:
+            raise Unreadable("a frame with shared memory, which is not for this socket")
         return int(LENGTH.size + length - len(self._data))
 
 
@@ -215,9 +208,13 @@ class RecordWriter:
 
         After a Timeout, what is left of a record that had begun goes before the next.
         """
-        packet, deadline = _packet(record), time.monotonic() + RECORD_LIMIT
+        self.send_packet(pack_record(record))
+
+    def send_packet(self, packet: Bytes) -> None:
+        """Send a record that is a packet already; as `send`."""
+        data, deadline = _with_length(packet), time.monotonic() + RECORD_LIMIT
         self._flush(deadline)
-        self._rest = memoryview(packet)
+        self._rest = memoryview(data)
         self._flush(deadline)
 
     def push(self, record: Struct) -> None:
@@ -227,7 +224,7 @@ class RecordWriter:
         """
         if (waiting := len(self._rest)) > _MOST_WAITING:
             raise Timeout(f"the other end has left {waiting} B unread")
-        self._rest = memoryview(bytes(self._rest) + _packet(record))
+        self._rest = memoryview(bytes(self._rest) + _with_length(pack_record(record)))
         self.flush()
 
     def flush(self) -> None:
@@ -242,48 +239,42 @@ class RecordWriter:
 
     def _flush(self, deadline: float) -> None:
         flags = socket.MSG_DONTWAIT | socket.MSG_NOSIGNAL
+        late = f"took no record within {RECORD_LIMIT:g} s"
         while self._rest:
             try:
                 self._rest = self._rest[self._connection.send(self._rest, flags) :]
             except BlockingIOError:
-                poll = select.poll()
-                poll.register(self._connection, select.POLLOUT)
-                left = max(0.0, deadline - time.monotonic())
-                if not poll.poll(1e3 * left):
-                    raise Timeout(
-                        f"the other end took no record within {RECORD_LIMIT:g} s"
-                    ) from None
+                _wait(self._connection, select.POLLOUT, deadline, late)
             except OSError as error:
                 raise Unavailable(f"the other end is gone: {error}") from error
 
 
-def _packet(record: Struct) -> bytes:
-    packet = pack_record(record)
-    if len(packet) > LARGEST:
-        raise Unreadable(f"a frame of {len(packet)} B; {LARGEST} B is the largest")
-    return LENGTH.pack(len(packet), 0) + packet
-
-
 def pack_record(record: Struct) -> bytes:
     """Return a record as one packet, for sockets that keep the borders of packets."""
-    return b"".join(_pieces(record))
+    return b"".join(segments(codec(type(record)), record, FrameKind.RECORD))
 
 
 def unpack_record(packet: Bytes, type_: Any) -> Any:  # noqa: ANN401, as `Codec`
     """Return the record in a packet; WireError when it is not one of `type_`."""
-    return _record(parse(packet), type_)
-
-
-def _channel_of(connection: socket.socket) -> _channel.Channel:
-    # made for one record: it must leave the next one where `poll` sees it
-    return _channel.Channel(connection.fileno(), LOST_AFTER, reads_ahead=False)
-
-
-def _pieces(record: Struct) -> list[Bytes]:
-    return segments(codec(type(record)), record, FrameKind.RECORD)
-
-
-def _record(received: Frame, type_: Any) -> Any:  # noqa: ANN401, as `Codec`
+    received = parse(packet)
     if received.kind is not FrameKind.RECORD:
         raise Unreadable(f"a frame of the kind {received.kind.name}, not a record")
     return received.value(codec(type_))
+
+
+def _wait(connection: socket.socket, event: int, deadline: float, late: str) -> None:
+    """Wait until a socket is ready; Timeout at a moment [s]."""
+    poll = select.poll()
+    poll.register(connection, event)
+    if not poll.poll(1e3 * max(0.0, deadline - time.monotonic())):
+        raise Timeout(f"the other end {late}")
+
+
+def _with_length(packet: Bytes) -> bytes:
+    _check_size(len(packet), LARGEST)
+    return LENGTH.pack(len(packet), 0) + packet
+
+
+def _check_size(size: int, largest: int) -> None:
+    if size > largest:
+        raise Unreadable(f"a frame of {size} B; {largest} B is the largest")

@@ -148,7 +148,7 @@ class Gateway:
 def _named(connection: socket.socket) -> str:
     """Return the container that a connection names, and read nothing behind it."""
     deadline = time.monotonic() + SAY_LIMIT
-    hello = frame.receive_frame(connection, deadline, _LARGEST)
+    hello = frame.parse(frame.receive_packet(connection, deadline, _LARGEST))
     if hello.kind is not FrameKind.HELLO:
         raise WireError(f"a frame of the kind {hello.kind.name}, not a name")
     name: str = hello.value(NAME)

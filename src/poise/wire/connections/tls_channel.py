@@ -21,7 +21,7 @@ from poise.wire import _channel
 from poise.wire.address import LOST_AFTER, peek
 from poise.wire.codec import Bytes, Unreadable, WireError, codec
 from poise.wire.credentials import Credentials, role_of
-from poise.wire.frame import Frame, Pieces, receive_frame
+from poise.wire.frame import Frame, Pieces, receive_packet
 
 _HEAD = struct.Struct("<II")
 _AHEAD = 1 << 14
@@ -100,8 +100,8 @@ class Handshake:
         start = peek(self.socket, 2)
         if start and start not in _TLS_RECORDS:
             deadline = time.monotonic() + LOST_AFTER
-            refusal = receive_frame(self.socket, deadline, _LARGEST_REFUSAL)
-            raise Unavailable(refusal.value(codec(str)))
+            refusal = receive_packet(self.socket, deadline, _LARGEST_REFUSAL)
+            raise Unavailable(_channel.parse(refusal).value(codec(str)))
 
 
 class TlsChannel:
