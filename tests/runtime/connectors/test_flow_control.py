@@ -8,7 +8,7 @@ from poise.runtime._calls import ComponentCounters
 from poise.runtime.component.ports import Policy, Queue
 from poise.runtime.connectors.flow_control import Credit, CreditIssuer
 from poise.runtime.execution.counters import Counts
-from poise.runtime.execution.mailbox import Mailbox
+from poise.runtime.execution.mailbox import Mailbox, PortQueue
 from poise.wire import frame
 from poise.wire.codec import Codec, WireError
 from poise.wire.frame import Frame, FrameKind, Pieces
@@ -84,8 +84,8 @@ class Joined:
 
     def take(self, count: int) -> None:
         for _ in range(count):
-            inbox = self.mailbox.next(0.0)
-            assert inbox is not None
+            inbox = self.mailbox.work(0.0)
+            assert isinstance(inbox, PortQueue)
             assert inbox.pop() is not None
 
 

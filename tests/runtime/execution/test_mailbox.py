@@ -10,13 +10,13 @@ from poise.runtime._calls import ComponentCounters
 from poise.runtime.component.ports import Queue
 from poise.runtime.execution import mailbox as module
 from poise.runtime.execution.counters import Counts
-from poise.runtime.execution.mailbox import Feed, FilledQueues, Mailbox, PortQueue
+from poise.runtime.execution.mailbox import Feed, Mailbox, PortQueue
 
 LIMIT = 20.0
 
 
 def inbox_of(queue: Queue) -> PortQueue:
-    return PortQueue("scan", queue, FilledQueues(), ComponentCounters())
+    return PortQueue("scan", queue, lambda _: None, ComponentCounters())
 
 
 def feed(inbox: PortQueue) -> Feed:
@@ -113,8 +113,8 @@ def test_tells_whoever_waits_when_it_comes_to_rest() -> None:
 
 
 def ports_that_wake(mailbox: Mailbox, times: int) -> list[str | None]:
-    found = (mailbox.next(0.0) for _ in range(times))
-    return [inbox.port if inbox else None for inbox in found]
+    found = (mailbox.work(0.0) for _ in range(times))
+    return [inbox.port if isinstance(inbox, PortQueue) else None for inbox in found]
 
 
 def test_wakes_once_for_every_message_that_waits() -> None:
@@ -134,4 +134,4 @@ def test_serves_ports_in_the_order_of_arrival() -> None:
 def test_a_wake_up_brings_nothing() -> None:
     mailbox = Mailbox({}, ComponentCounters())
     mailbox.wake()
-    assert mailbox.next(LIMIT) is None
+    assert mailbox.work(LIMIT) is None

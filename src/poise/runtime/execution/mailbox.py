@@ -40,22 +40,6 @@ class WorkSource(Protocol):
         """Let `wait` return, now or when it is called next; from any thread."""
 
 
-class FilledQueues:
-    """Which queues have a message; whoever fills one wakes the source, too."""
-
-    source: WorkSource | None = None
-
-    def __init__(self) -> None:
-        self._queue: SimpleQueue[PortQueue | None] = SimpleQueue()
-        self.get, self.is_empty = self._queue.get, self._queue.empty
-
-    def put(self, inbox: PortQueue | None) -> None:
-        """Let the component's thread look into a queue; None: at its goal."""
-        self._queue.put(inbox)
-        if self.source is not None:
-            self.source.wake()
-
-
 class Feed:
     """One connector's way into the queue of a port, with room of its own."""
 
@@ -83,11 +67,15 @@ class PortQueue:
     """The queue of one port, filled by any thread, emptied by the component's."""
 
     def __init__(
-        self, port: str, queue: Queue, filled: FilledQueues, counters: ComponentCounters
+        self,
+        port: str,
+        queue: Queue,
+        offer: Callable[[PortQueue], object],
+        counters: ComponentCounters,
     ) -> None:
         self.port = port
         self.queue = queue
-        self._filled = filled
+        self._offer = offer
         self._counters = counters
         self._waiting: deque[tuple[Entry, Feed, float]] = deque()
         self._changing = threading.Lock()
@@ -113,7 +101,7 @@ class PortQueue:
             self.last_came = time.monotonic()
             self._waiting.append((entry, feed, self.last_came))
         if grows:
-            self._filled.put(self)
+            self._offer(self)
 
     def pop(self) -> Entry | None:
         """Return the oldest message; None when there is none."""
@@ -169,9 +157,10 @@ class Mailbox:
     def __init__(
         self, queues: Mapping[str, Queue], counters: ComponentCounters
     ) -> None:
-        self._filled = FilledQueues()
+        self._filled: SimpleQueue[PortQueue | None] = SimpleQueue()
+        self._source: WorkSource | None = None
         self._inboxes = {
-            port: PortQueue(port, queue, self._filled, counters)
+            port: PortQueue(port, queue, self.offer, counters)
             for port, queue in queues.items()
         }
         self._bounding = threading.Lock()
@@ -225,27 +214,25 @@ class Mailbox:
             with self._bounding:
                 self._set_unbounded(unbounded=self._is_unbounded)
 
-    def put_back(self, inbox: PortQueue) -> None:
-        """Let `work` return a queue again, of which nothing was taken."""
+    def offer(self, inbox: PortQueue | None) -> None:
+        """Let `work` return a queue that has a message; None: just return."""
         self._filled.put(inbox)
+        if self._source is not None:
+            self._source.wake()
 
     def wake(self) -> None:
-        """Let `next` and `work` return."""
-        self._filled.put(None)
+        """Let `work` return."""
+        self.offer(None)
 
     def listen(self, source: WorkSource | None) -> None:
         """Let `work` come from a source, too; None: no more."""
-        self._filled.source = source
+        self._source = source
 
     def work(self, limit: float | None) -> PortQueue | Work | None:
         """Wait up to `limit` [s] for a queue with a message, or for the source."""
-        source = self._filled.source
-        if source is not None and self._filled.is_empty():
+        source = self._source
+        if source is not None and self._filled.empty():
             return source.wait(limit)
-        return self.next(limit)
-
-    def next(self, limit: float | None) -> PortQueue | None:
-        """Wait up to `limit` [s] for a queue with a message; None when none came."""
         try:
             return self._filled.get(timeout=limit)
         except Empty:

@@ -457,7 +457,7 @@ class Runner:
         elif work is not None and self._enter():
             self._deliver(work)
         elif work is not None:
-            self.endpoints.mailbox.put_back(work)
+            self.endpoints.mailbox.offer(work)
 
     def _begin_actions(self, actions: Mapping[int, str]) -> None:
         for number, action in actions.items():
