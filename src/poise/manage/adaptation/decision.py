@@ -13,7 +13,7 @@ carried out is up to `LossSuffered`.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from collections.abc import Set as AbstractSet
 
 from msgspec import Struct
@@ -32,13 +32,15 @@ from poise.manage.adaptation.proposal import (
     STARVED,
     late,
     nothing_helps,
+    problem_now,
     propose,
     share_what_is_left,
+    terms_of,
     with_time_limits,
 )
 from poise.manage.adaptation.situation import Situation
 from poise.manage.agent_connections.statuses import components_of
-from poise.manage.migration.migration_report import Proposal, TransitionStep
+from poise.manage.migration.migration_report import Proposal
 from poise.manage.migration.transition_plan import missing_cpu
 from poise.model.check.allowed_computers import allowed_computers
 from poise.model.robot import Robot
@@ -96,6 +98,7 @@ def decide(
         beyond_cuts(situation.placement, bad), with_bad_links(situation.robot, bad)
     )
     situation = replace(situation, robot=robot)
+    price = horizon / WORTH
     short = sum(shortages_of(situation).values())
     causes = reason(situation, bad)
     in_vain = wasted(situation, situation.placement, bad)
@@ -107,23 +110,16 @@ def decide(
         proposal = propose(
             situation,
             costs={name: doubt * cost / WORTH for name, cost in costs.items()},
-            price=horizon / WORTH,
+            price=price,
             is_quick=True,
         )
     except RobotError as error:
         why = f"no placement can help: {causes}{late(situation)}{error}"
-        undone = _undone(situation, horizon / WORTH) + in_vain
+        undone = _undone_now(situation, price) + in_vain
         return Decision(acts=False, why=why, undone=undone)
-    per_core = horizon / WORTH
-    undone = (proposal.now.shortage + proposal.now.time) / per_core + in_vain
-    in_vain -= wasted(situation, proposal.placement, bad)
-    mended = (
-        proposal.now.shortage
-        + proposal.now.time
-        - proposal.then.shortage
-        - proposal.then.time
-    ) / per_core
-    gain = mended + in_vain
+    undone = _undone(proposal.now, price) + in_vain
+    then_in_vain = wasted(situation, proposal.placement, bad)
+    gain = undone - _undone(proposal.then, price) - then_in_vain
     cost = sum(costs[step.component] for step in proposal.steps)
     acts = bool(proposal.steps) and gain > _LEAST and gain * horizon > doubt * cost
     why = f"{causes}{_change(proposal, gain, cost)}"
@@ -141,19 +137,20 @@ def decide(
     )
 
 
-def _undone(situation: Situation, price: float) -> float:
-    """Return what is not done as it is [cores], where no placement was found."""
-    now, functions = situation.placement, situation.functions()
+def _undone(terms: plan.Terms, price: float) -> float:
+    """Return what is not done for lack of CPU, or done too late [cores]."""
+    return (terms.shortage + terms.time) / price
+
+
+def _undone_now(situation: Situation, price: float) -> float:
+    """Return the same as it is, where no placement was found."""
     try:
-        problem = plan.problem_of(situation.robot_now, functions=functions, present=now)
+        problem = problem_now(situation)
     except RobotError:
         return sum(shortages_of(situation).values())
-    problem = plan.keep_components(problem, now.keys())
     problem = with_time_limits(problem, situation, price)
     problem = share_what_is_left(problem, situation, price)
-    terms = plan.evaluate(problem, now).objective
-    assert terms is not None  # noqa: S101, a given placement has terms
-    return (terms.shortage + terms.time) / price
+    return _undone(terms_of(problem, situation.placement), price)
 
 
 def _gone(situation: Situation) -> str:
@@ -284,12 +281,6 @@ def move_costs(situation: Situation) -> dict[str, float]:
         for a in robot.architectures
         for c in a.components
     }
-
-
-def cost_of(situation: Situation, steps: Iterable[TransitionStep]) -> float:
-    """Return what steps cost [core-seconds]."""
-    costs = move_costs(situation)
-    return sum(costs[step.component] for step in steps)
 
 
 def _without_homes_beyond(cuts: Mapping[str, AbstractSet[str]], robot: Robot) -> Robot:

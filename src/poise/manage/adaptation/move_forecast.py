@@ -9,10 +9,11 @@ from msgspec.structs import replace
 
 from poise import plan
 from poise.errors import RobotError, UsageError
-from poise.manage.adaptation.decision import HORIZON, WORTH, cost_of, move_costs
+from poise.manage.adaptation.decision import HORIZON, WORTH, move_costs
 from poise.manage.adaptation.proposal import (
+    problem_now,
     share_what_is_left,
-    with_costs,
+    terms_of,
     with_time_limits,
 )
 from poise.manage.adaptation.situation import Situation
@@ -39,26 +40,19 @@ def what_if(situation: Situation, component: str, computer: str) -> WhatIf:
     source, after = before[component], {**before, component: computer}
     if source == computer:
         raise UsageError(f"component '{component}' runs on '{computer}' already")
-    robot = situation.robot_now
-    functions = situation.functions()
-    problem = plan.problem_of(robot, functions=functions, present=before)
-    problem = plan.keep_components(problem, before.keys())
+    robot, problem = situation.robot_now, problem_now(situation)
     left = {c.name: c for c in situation.computers_left()}
     as_it_is = plan.evaluate(replace(problem, computers=(*left.values(),)), before)
     problem = with_time_limits(problem, situation, plan.PRICE)
     problem = share_what_is_left(problem, situation, None)
-    now, then = plan.evaluate(problem, before), plan.evaluate(problem, after)
-    assert now.objective is not None  # noqa: S101, a given placement has terms
-    assert then.objective is not None  # noqa: S101, the same
-    step = TransitionStep(component, source, computer)
     demands = robot.demands("cpu")
     sizes = {c.name: c.snapshot for c in components_of(situation.statuses)}
     return WhatIf(
         component=component,
         source=source,
         target=computer,
-        now=now.objective,
-        then=then.objective,
+        now=terms_of(problem, before),
+        then=terms_of(problem, after),
         breaks=tuple(_new_breaks(robot, before, component, computer)),
         trouble=as_it_is.reason,
         loads={
@@ -67,7 +61,7 @@ def what_if(situation: Situation, component: str, computer: str) -> WhatIf:
         },
         usable={name: left[name].usable("cpu") for name in (source, computer)},
         downtime=situation.downtimes.get(component),
-        cost=cost_of(situation, [step]),
+        cost=move_costs(situation)[component],
         state=sizes.get(component, 0),
     )
 
@@ -92,15 +86,13 @@ def alternatives(situation: Situation) -> tuple[Alternative, ...]:
     None when some component can run nowhere.
     """
     situation = situation.of_running_components()
-    robot, now = situation.robot_now, situation.placement
+    now, costs = situation.placement, move_costs(situation)
     try:
-        functions = situation.functions()
-        problem = plan.problem_of(robot, functions=functions, present=now)
+        problem = problem_now(
+            situation, costs={name: cost / WORTH for name, cost in costs.items()}
+        )
     except RobotError:
         return ()
-    costs = move_costs(situation)
-    problem = with_costs(problem, {name: x / WORTH for name, x in costs.items()})
-    problem = plan.keep_components(problem, now.keys())
     problem = share_what_is_left(problem, situation, HORIZON / WORTH)
 
     def work_out(short: float, steps: tuple[TransitionStep, ...]) -> Alternative:
@@ -111,7 +103,7 @@ def alternatives(situation: Situation) -> tuple[Alternative, ...]:
             what=", ".join(map(str, steps)) or "stay",
             total=result.objective.total,
             short=short,
-            cost=cost_of(situation, steps),
+            cost=sum(costs[step.component] for step in steps),
             breaks=result.reason,
         )
 

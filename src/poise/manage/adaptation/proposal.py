@@ -197,16 +197,10 @@ def propose(
     Raises RobotError: the task fits nowhere with these demands, or there is no way to
     the placement.
     """
-    now = situation.placement
-    shifted, robot = situation.shifted, situation.robot_now
-    functions = situation.functions()
-    problem = plan.problem_of(robot, functions=functions, present=now, move=move)
-    if costs is not None:
-        problem = with_costs(problem, costs)
-    # Of alternative architectures only one runs: keep to it.
-    problem = plan.keep_components(problem, now.keys())
-    left = replace(problem, computers=situation.computers_left())
-    problem = with_time_limits(problem, situation, price or plan.PRICE)
+    now, robot = situation.placement, situation.robot_now
+    present = problem_now(situation, move, costs=costs)
+    left = replace(present, computers=situation.computers_left())
+    problem = with_time_limits(present, situation, price or plan.PRICE)
     if not fewer:
         problem = share_what_is_left(problem, situation, price)
     planner = plan.Planner(problem)
@@ -215,15 +209,14 @@ def propose(
     if not result.feasible or result.objective is None:
         if not is_quick:
             explain(result)
-        needs = "".join(f"; {name} needs {demand}" for name, demand in shifted.items())
+        shifted = situation.shifted.items()
+        needs = "".join(f"; {name} needs {demand}" for name, demand in shifted)
         raise RobotError(
             f"robot '{robot.name}' has no placement any more: {result.reason}{needs}"
         )
-    present = plan.evaluate(problem, now)
-    assert present.objective is not None  # noqa: S101, a given placement has terms
     return Proposal(
-        shifted=shifted,
-        now=present.objective,
+        shifted=situation.shifted,
+        now=terms_of(problem, now),
         then=result.objective,
         placement=result.placement,
         trouble=plan.evaluate(left, now).reason,
@@ -231,6 +224,29 @@ def propose(
         proven=result.proven,
         suspended=result.suspended,
     )
+
+
+def problem_now(
+    situation: Situation,
+    move: float = 0.0,
+    *,
+    costs: Mapping[str, float] | None = None,
+) -> plan.Problem:
+    """Return the problem of placing what runs, by its demands; `costs`: of moves."""
+    robot, now = situation.robot_now, situation.placement
+    functions = situation.functions()
+    problem = plan.problem_of(robot, functions=functions, present=now, move=move)
+    if costs is not None:
+        problem = with_costs(problem, costs)
+    # Of alternative architectures only one runs: keep to it.
+    return plan.keep_components(problem, now.keys())
+
+
+def terms_of(problem: plan.Problem, placement: Mapping[str, str]) -> plan.Terms:
+    """Return what makes up F of a placement."""
+    terms = plan.evaluate(problem, placement).objective
+    assert terms is not None  # noqa: S101, a given placement has terms
+    return terms
 
 
 def explain(result: plan.Result) -> None:
