@@ -21,16 +21,16 @@ if TYPE_CHECKING:
 
 
 class Route(Protocol):
-    """A way to one incarnation of the target."""
+    """A way to one incarnation of the target; by default one in this process."""
 
     def try_connect(self) -> bool:
         """Connect if needed; return at once whether the other end is there."""
-        ...
+        return True
 
     @property
     def refusal(self) -> str:
         """Why another computer was not reached last, if it is known."""
-        ...
+        return ""
 
     def function(self, method: Method, sender: Sender) -> Callable[..., Any]:
         """Return the function that calls a method of the target."""
@@ -38,7 +38,7 @@ class Route(Protocol):
 
     def is_calling(self) -> bool:
         """Return at once whether a call waits for an answer from another container."""
-        ...
+        return False
 
     def push(self, method: Method | None, value: object) -> int:
         """Send a message, or a one-way call of `method`; return its size [bytes]."""
@@ -53,7 +53,7 @@ class Route(Protocol):
 
         Return which numbered message the target got last; None: it says so later.
         """
-        ...
+        return None
 
     def send_marker(self, number: int) -> None:
         """Send a marker behind all that was pushed; raises as `push`."""
@@ -61,14 +61,14 @@ class Route(Protocol):
 
     def give_up(self) -> None:
         """Wait no more for a computer that is cut off, also in a `push` under way."""
-        ...
+        return
 
     def close(self) -> None:
         """Release its resources at once; harmless when repeated."""
-        ...
+        return
 
 
-class DirectRoute:
+class DirectRoute(Route):
     """A way to a component in this process."""
 
     def __init__(
@@ -87,19 +87,6 @@ class DirectRoute:
         self._feed = target.mailbox.feed(port.name, sender.counts)
         self._feed.on_room = sender.note_room
         self._tag = message_tag(port.type)
-
-    def try_connect(self) -> bool:
-        """Return True: it is here."""
-        return True
-
-    @property
-    def refusal(self) -> str:
-        """Nothing: it is here."""
-        return ""
-
-    def is_calling(self) -> bool:
-        """Return False: no answer can get lost here."""
-        return False
 
     def function(self, method: Method, sender: Sender) -> Callable[..., Any]:
         """Return a function that calls a method in this process."""
@@ -134,19 +121,9 @@ class DirectRoute:
         """Return whether the target's queue has room."""
         return self._feed.has_room()
 
-    def ask(self) -> Number | None:
-        """No-op: the queue is in this process."""
-        return None
-
     def send_marker(self, number: int) -> None:
         """Note at the target that all has come."""
         self._target.note_marker(self._connector, number)
-
-    def give_up(self) -> None:
-        """No-op: no computer lies between."""
-
-    def close(self) -> None:
-        """No-op: it holds nothing."""
 
 
 class NumberedRoute(DirectRoute):
