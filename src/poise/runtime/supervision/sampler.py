@@ -6,17 +6,16 @@ time to the next, and beyond all that it was within the minute before.
 
 from __future__ import annotations
 
-import logging
 import os
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import combinations, pairwise
 from statistics import mean, median
 
 import msgspec
-from msgspec import Struct, structs
+from msgspec import structs
 
 from poise import threads
 from poise.kernel_counters import (
@@ -35,27 +34,18 @@ from poise.runtime.supervision.health import (
     Watchdog,
 )
 
-log = logging.getLogger(__name__)
-
-_SELDOM = 25
-"""Every 25th sample reads the memory of one container, which takes the kernel a
-millisecond or two, more than all the rest. It is skipped while the container's resident
-memory stays the same, but not more than `_ANYWAY` times: what it shares with others may
-have changed."""
-_ANYWAY = 10
-_COMPARED = 5
-"""Every fifth sample looks whether one has grown."""
-_GROWN = 1.1
-"""One container whose resident memory grew by this factor is read then."""
-
-
-USAGE_EVERY = 1.0
-"""CPU use is the mean over at least this time [s]."""
 _AGENT = ""
 """The name under which the agent's own use is kept."""
-
 READ_EVERY = 1.0
-"""Memory is read this often [s]."""
+"""Memory and CPU use are looked at this often [s]."""
+_ANYWAY = 10
+"""A container whose resident memory stays the same is weighed each tenth time that it
+is its turn: what it shares with others may have changed."""
+_TURNS_EVERY = 5
+"""At every fifth look it is the next one's turn: to weigh takes the kernel a
+millisecond or two, more than all the rest."""
+_GROWN = 1.1
+"""What has grown by this factor is weighed at once."""
 _FIFTH = 3
 """Readings in each fifth of the time that is looked at."""
 _ALL = 5 * _FIFTH
@@ -88,13 +78,13 @@ class Sampler:
         self._publish = publish
         self._on_silence = on_silence
         self._watchdog = Watchdog()
-        self._memory: dict[int, _Weight] = {}
-        self._own_memory: _Weight | None = None
-        self._growth: dict[int, MemoryGrowth] = {}
+        self._memory: dict[int, _Memory] = {}
+        self._num_looks = 0
+        self._look_at = 0.0
+        self._looked_at = float("-inf")
         self._computer_cpu = ComputerCpu()
         self._computer_memory = ComputerMemory()
-        self._count = 0
-        self._rates: dict[str, _Rate] = {}
+        self._cpu: dict[str, float] = {}
         self._usage: Usage = {}
         self._ended = threading.Event()
         self._encoder = msgspec.msgpack.Encoder()
@@ -114,11 +104,11 @@ class Sampler:
         """Return what the agent (an empty name) and each container use; any thread."""
         return self._usage
 
-    def sample(self) -> bytes:
-        """Return what is counted now, encoded."""
+    def sample(self, now: float) -> bytes:
+        """Return what is counted at `now` [s], encoded."""
         containers = self._containers()
-        self._weigh(containers)
-        growth = self._follow_growth(containers, time.monotonic())
+        is_look = now >= self._look_at
+        self._read_memory(containers, now, is_look=is_look)
         samples = []
         for name, pid, page in containers:
             read = page.read()
@@ -126,111 +116,85 @@ class Sampler:
                 at, cpu, components, connectors = read
                 memory = self._memory[pid].proportional
                 samples.append((name, pid, at, cpu, memory, components, connectors))
-        now, own = time.monotonic(), time.process_time()
-        used = {n: (cpu, memory) for n, _, _, cpu, memory, *_ in samples}
-        self._note_usage(now, own, used, growth)
+        own = time.process_time()
+        if is_look:
+            used = {name: (pid, cpu) for name, pid, _, cpu, *_ in samples}
+            self._note_usage(now, {_AGENT: (os.getpid(), own), **used})
+            self._look_at, self._looked_at = now + READ_EVERY, now
         # an `AgentSample`, whose records are arrays
         sample = (self._computer, now, own, samples, self._computer_cpu.read())
         return self._encoder.encode(sample)
 
-    def _follow_growth(
-        self, containers: Sequence[tuple[str, int, PageSampler]], now: float
-    ) -> dict[str, float]:
-        """Return how fast the memory of each container grows [bytes/s]."""
-        before, self._growth = self._growth, {}
-        for _, pid, page in containers:
-            growth = self._growth[pid] = before.get(pid) or MemoryGrowth()
-            if growth.is_due(now):
-                size = sum(map(private_memory, [pid, *page.descendants()]))
-                growth.update(now, size)
-        return {name: self._growth[pid].rate for name, pid, _ in containers}
-
-    def _note_usage(
+    def _read_memory(
         self,
+        containers: Sequence[tuple[str, int, PageSampler]],
         now: float,
-        own: float,
-        containers: dict[str, tuple[float, int]],
-        growth: dict[str, float],
+        *,
+        is_look: bool,
     ) -> None:
-        before, self._rates = self._rates, {}
-        if self._count % _SELDOM == 0:
-            self._own_memory = _weigh([os.getpid()], self._own_memory)
-        agent = own, self._own_memory.proportional if self._own_memory else 0
-        for name, (cpu, size) in {_AGENT: agent, **containers}.items():
-            self._rates[name] = _Rate.next(before.get(name), now, cpu, size)
-        total = sum(growth.values())
+        """Read the memory of new containers, and at a look that of all."""
+        before, self._memory = self._memory, {}
+        self._num_looks += is_look
+        turn, rest = divmod(self._num_looks, _TURNS_EVERY)
+        pages = {os.getpid(): None} | {pid: page for _, pid, page in containers}
+        for place, (pid, page) in enumerate(pages.items()):
+            memory = self._memory[pid] = before.get(pid) or _Memory()
+            if is_look or pid not in before:
+                processes = [pid, *(page.descendants() if page else ())]
+                is_turn = rest == 0 and turn % len(pages) == place
+                memory.read(now, processes, is_turn=is_turn)
+
+    def _note_usage(self, now: float, used: Mapping[str, tuple[int, float]]) -> None:
+        """Note what each holds, and used since the look before.
+
+        `used`: name -> process and its CPU time so far [s].
+        """
+        memory = {name: self._memory[pid] for name, (pid, _) in used.items()}
+        total = sum(each.growth.rate for each in memory.values())
         room = self._computer_memory.read() if total else None
+        before, self._cpu = self._cpu, {name: cpu for name, (_, cpu) in used.items()}
         usage = {}
-        for name, rate in self._rates.items():
-            use, grows = ContainerUse(rate.cores, rate.memory), growth.get(name, 0.0)
-            if grows and room is not None:
+        for name, cpu in self._cpu.items():
+            held, cores = memory[name], max(0.0, cpu - before.get(name, cpu))
+            use = ContainerUse(cores / (now - self._looked_at), held.proportional)
+            if room is not None and (growth := held.growth.rate):
                 limit, full_in = room.limit, room.free / total
-                use = structs.replace(use, growth=grows, limit=limit, full_in=full_in)
+                use = structs.replace(use, growth=growth, limit=limit, full_in=full_in)
             usage[name] = use
         self._usage = usage
 
     def _main(self) -> None:
         period = min(self._every or CHECK_EVERY, CHECK_EVERY)
-        sample_at = usage_at = time.monotonic()
+        sample_at = time.monotonic()
         while not self._ended.wait(period):
             for silence in self._watchdog.check(self._containers()):
                 self._on_silence(silence)
             now = time.monotonic()
             is_due = bool(self._every) and now >= sample_at
-            if is_due or now >= usage_at:
-                sample, usage_at = self.sample(), now + USAGE_EVERY
+            if is_due or now >= self._look_at:
+                sample = self.sample(now)
             if is_due:
                 sample_at = max(sample_at + self._every, now)
                 self._publish(sample)
 
-    def _weigh(self, containers: Sequence[tuple[str, int, PageSampler]]) -> None:
-        """Read the memory of new and grown containers; of others one after another."""
-        self._count = (self._count + 1) % max(1, len(containers) * _SELDOM)
-        before, self._memory = self._memory, {}
-        one_grew = self._count % _COMPARED != 0  # or it does not matter now
-        for place, (_, pid, page) in enumerate(containers):
-            known, is_due = before.get(pid), self._count == place * _SELDOM
-            if known is None or is_due or not one_grew:
-                processes = [pid, *page.descendants()]
-                resident = sum(map(resident_memory, processes))
-                has_grown = known is not None and resident > _GROWN * known.resident
-                one_grew = one_grew or has_grown
-                if known is None or is_due or has_grown:
-                    known = _weigh(processes, known)
-            self._memory[pid] = known
 
+class _Memory:
+    """What the processes of a container hold together [bytes]."""
 
-class _Rate(Struct, frozen=True):
-    """CPU use [cores] since the moment before `at` [s], and memory use [bytes]."""
+    def __init__(self) -> None:
+        self.proportional = 0
+        self.growth = MemoryGrowth()
+        self._resident = self._num_turns = 0
 
-    at: float
-    cpu: float
-    cores: float
-    memory: int
-
-    @classmethod
-    def next(cls, known: _Rate | None, now: float, cpu: float, memory: int) -> _Rate:
-        """Return the use at `now` [s], when `cpu` [s] was used in all."""
-        if known is None or cpu < known.cpu:
-            return cls(now, cpu, 0.0, memory)
-        if now - known.at < USAGE_EVERY:
-            return cls(known.at, known.cpu, known.cores, memory)
-        return cls(now, cpu, (cpu - known.cpu) / (now - known.at), memory)
-
-
-class _Weight(Struct, frozen=True):
-    """What processes held together [bytes], and how often that was taken for true."""
-
-    resident: int
-    proportional: int
-    age: int = 0
-
-
-def _weigh(processes: Sequence[int], known: _Weight | None) -> _Weight:
-    resident = sum(map(resident_memory, processes))
-    if known and known.resident == resident and known.age < _ANYWAY:
-        return structs.replace(known, age=known.age + 1)
-    return _Weight(resident, sum(map(proportional_memory, processes)))
+    def read(self, now: float, processes: Sequence[int], *, is_turn: bool) -> None:
+        """Follow its growth, and weigh it if it changed, or has not been for long."""
+        self.growth.update(now, sum(map(private_memory, processes)))
+        resident = sum(map(resident_memory, processes))
+        self._num_turns += is_turn
+        has_changed = resident != self._resident or self._num_turns >= _ANYWAY
+        if resident > _GROWN * self._resident or (is_turn and has_changed):
+            self.proportional = sum(map(proportional_memory, processes))
+            self._resident, self._num_turns = resident, 0
 
 
 class MemoryGrowth:
@@ -238,17 +202,11 @@ class MemoryGrowth:
 
     def __init__(self) -> None:
         self.rate = 0.0
-        self._read_at = float("-inf")
         self._count = self._unlike = 0
         self._fine, self._coarse = _Trend(READ_EVERY), _Trend(_COARSE * READ_EVERY)
 
-    def is_due(self, now: float) -> bool:
-        """Return whether the memory should be read at `now` [s]."""
-        return now - self._read_at >= READ_EVERY
-
     def update(self, now: float, size: float) -> None:
-        """Add a reading [bytes] that was due at `now` [s]."""
-        self._read_at = now
+        """Add a reading [bytes], which comes every `READ_EVERY`."""
         self._fine.add(now, size)
         if self._count % _COARSE == 0:
             self._coarse.add(now, size)

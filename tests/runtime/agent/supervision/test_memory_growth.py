@@ -90,11 +90,3 @@ def test_a_leak_that_ends_is_none_within_some_seconds() -> None:
     found = rates(range(60), lambda now: START + 2 * MB * min(now, 30))
     assert found[30] > 0
     assert not any(found[40:])
-
-
-def test_memory_is_read_once_a_second() -> None:
-    growth = MemoryGrowth()
-    assert growth.is_due(5.0)
-    growth.update(5.0, START)
-    assert not growth.is_due(5.9)
-    assert growth.is_due(6.0)

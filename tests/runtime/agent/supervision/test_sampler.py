@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import threading
 
@@ -33,7 +34,7 @@ def test_tells_every_container_with_something_in_it(every: float) -> None:
     counters[0].enter(_calls.StatsPage(memories[0]), "eye", 2)
     here = [("see", 7, readers[0]), ("empty", 8, readers[1])]
     sampler = Sampler("a", every, lambda: here, ignore, ignore)
-    sample = decoded(sampler.sample())
+    sample = decoded(sampler.sample(1.0))
     assert sample.computer == "a"
     (container,) = sample.containers
     assert (container.name, container.pid) == ("see", 7)
@@ -98,7 +99,7 @@ def test_reads_the_memory_of_processes() -> None:
 def test_memory_is_weighed_again_when_there_is_more_or_less_of_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """With one container it is due at each 25th sample, and each tenth time anyway."""
+    """It and the agent are due at every fifth look in turn, each tenth time anyway."""
     held, weighed = [1000], list[int]()
 
     def weigh(pid: int) -> int:
@@ -115,18 +116,20 @@ def test_memory_is_weighed_again_when_there_is_more_or_less_of_it(
     here = [("see", 1, PageSampler(memory, os.getpid()))]
     sampler = Sampler("a", 0, lambda: here, ignore, ignore)
 
+    seconds = itertools.count()
+
     def told() -> int:
-        return decoded(sampler.sample()).containers[0].memory
+        return decoded(sampler.sample(next(seconds))).containers[0].memory
 
     for _ in range(30):
         assert told() == 500
     assert weighed == [1000]
     held[0] = 3000
-    assert 1500 in [told() for _ in range(5)]  # what has grown by much is weighed soon
+    assert 1500 in [told() for _ in range(2)]  # what has grown by much is weighed soon
     held[0] = 3100
     assert told() == 1500
     held[0] = 3000
-    for _ in range(275):
+    for _ in range(110):
         told()
     assert weighed == [1000, 3000, 3000]
     os.close(memory)
