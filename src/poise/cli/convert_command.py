@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.markup import escape
 
 from poise.cli.options import RobotFile, Set, arguments_of, busy, in_file, parse_option
 from poise.cli.plan_command import computer_of
@@ -95,10 +94,7 @@ def draw_command(
     if chosen != "components" and not names:
         names = ["static", "auto"] if chosen == "transition" else ["auto"]
     console = console_to(stderr=True)
-    measured = profiled(load(file, arguments_of(set_)))
-    for sentence in measured.says:
-        console.print(escape(sentence))
-    robot = measured.robot
+    robot = profiled(load(file, arguments_of(set_)), console.say)
     path = Path(output or f"{robot.name}-{chosen}.svg")
     if output != _ON_STDOUT:
         to_write(path)
@@ -108,7 +104,7 @@ def draw_command(
         return
     with busy("drawing"):
         drawing.save(path)
-    console.print(escape(f"wrote {path}"))
+    console.say(f"wrote {path}")
 
 
 def _placements(

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from math import isfinite
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import typer
-from rich.markup import escape
+from rich.console import RenderableType
 
 from poise import plan, units
 from poise.cli.main import Interrupts
@@ -20,7 +20,7 @@ from poise.cli.options import (
     busy,
     in_file,
     parse_option,
-    print_json,
+    show,
 )
 from poise.errors import UsageError, unknown
 from poise.estimate.outcomes import Conditions
@@ -31,10 +31,10 @@ from poise.session.placing.by_time import DecidedByTime
 from poise.session.placing.placement import ALL, decided, problem_of_task
 from poise.session.profiling.stored_profiles import profiled
 from poise.session.render.plan_tables import (
-    show,
-    show_comparison,
-    show_explanation,
-    show_smallest,
+    comparison_parts,
+    explanation_parts,
+    plan_parts,
+    smallest_line,
 )
 from poise.session.render.printable import console_to
 from poise.session.robot_file import with_code
@@ -131,14 +131,11 @@ def plan_command(
     poise plan robot.yaml --without main --add new:cpu=4,memory=8GiB
     """
     tasks = task or []
-    _check_together(tasks, explain, phase, compare, smallest=smallest, at_once=at_once)
-    _check_methods(method, compare)
+    _check_together(
+        tasks, explain, phase, compare, method, smallest=smallest, at_once=at_once
+    )
     _check_share(share=share, fewer=fewer, smallest=smallest)
-    console = console_to(stderr=True)
-
-    def say(sentence: str) -> None:
-        console.print(escape(sentence))
-
+    say = console_to(stderr=True).say
     robot = _robot(file, arguments_of(set_), tasks, say, explore=explore)
 
     def known(task: str | None) -> Robot | None:
@@ -167,7 +164,9 @@ def plan_command(
     _check_phases(tasks, phase, compare, has_phases=has_phases)
     named = _architectures(problems)
     problems = {name: problem.changed(changed) for name, problem in problems.items()}
-    _say_stranded(named - _architectures(problems), without or [], say)
+    if stranded := ", ".join(sorted(named - _architectures(problems))):
+        lost = ", ".join(without or ())
+        say(f"without {lost}, {stranded} can run nowhere, but an alternative can")
     with Interrupts() as interrupts:
         solve = partial(
             plan.solve_phases,
@@ -179,18 +178,24 @@ def plan_command(
             why=not smallest,
         )
         how = partial(_decide, robot, solve, interrupts.check)
+        by_method, one = partial(how, method), next(iter(problems.values()))
         if smallest:
-            feasible = _answer_smallest(
-                problems, partial(how, method), interrupts.has_come, json=json
-            )
+            answer = _smallest(problems, by_method, interrupts.has_come)
+        elif compare is not None:
+            answer = _comparison(one, how, compare)
         else:
-            (one,) = problems.values()
-            if compare is not None:
-                feasible = _answer_comparison(one, how, compare, json=json)
-            else:
-                feasible = _answer(one, partial(how, method), explain, phase, json=json)
-    if not feasible:
+            answer = _decision(one, by_method, explain, phase)
+        show(answer.plain, answer.parts, as_json=json)
+    if not answer.is_feasible:
         raise typer.Exit(1)
+
+
+class _Answer(NamedTuple):
+    """What was found: whether it holds; for programs, and for people."""
+
+    is_feasible: bool
+    plain: Mapping[str, object]
+    parts: Iterable[RenderableType]
 
 
 def _problems(
@@ -214,15 +219,6 @@ def _architectures(problems: Mapping[str, plan.TaskProblem]) -> set[str]:
     return {bundle.name for p in phases for bundle in p.problem.architectures}
 
 
-def _say_stranded(
-    names: set[str], without: Sequence[str], say: Callable[[str], None]
-) -> None:
-    """Say which architectures are left out with the computers that are gone."""
-    if names:
-        stranded, lost = ", ".join(sorted(names)), ", ".join(without)
-        say(f"without {lost}, {stranded} can run nowhere, but an alternative can")
-
-
 Decider = Callable[[plan.TaskProblem], DecidedByTime]
 
 
@@ -237,20 +233,12 @@ def _decide(
         return decided(robot, problem, method, partial(solve, method=method), check)
 
 
-def _check_methods(method: str, compare: str | None) -> None:
-    """Raise UsageError for a method beside those that are compared."""
-    if compare is not None and method != "auto":
-        raise UsageError(
-            f"--compare {compare} and --method {method} together: add {method} to "
-            "--compare"
-        )
-
-
 def _check_together(
     tasks: list[str],
     explain: str | None,
     phase: str | None,
     compare: str | None,
+    method: str,
     *,
     smallest: bool,
     at_once: bool,
@@ -275,6 +263,11 @@ def _check_together(
         raise UsageError(f"--phase {phase} works only together with --explain")
     if at_once and len(tasks) != 1:
         raise UsageError("--at-once needs exactly one --task")
+    if compare is not None and method != "auto":
+        raise UsageError(
+            f"--compare {compare} and --method {method} together: add {method} to "
+            "--compare"
+        )
 
 
 def _check_share(*, share: bool, fewer: bool, smallest: bool) -> None:
@@ -311,10 +304,7 @@ def _robot(
 ) -> Robot | None:
     """Return the robot in `file`; None when it is a plain problem."""
     if file.suffix != ".json":
-        measured = profiled(with_code(load(file, arguments)))
-        for sentence in measured.says:
-            say(sentence)
-        return measured.robot
+        return profiled(with_code(load(file, arguments)), say)
     if arguments:
         raise UsageError(f"--set: {file} is a plain problem and has no arguments")
     if explore:
@@ -326,54 +316,33 @@ def _robot(
     return None
 
 
-def _answer(
-    problem: plan.TaskProblem,
-    how: Decider,
-    explain: str | None,
-    phase: str | None,
-    *,
-    json: bool,
-) -> bool:
-    """Decide and print, or why something is where it is; return whether it holds."""
+def _decision(
+    problem: plan.TaskProblem, how: Decider, explain: str | None, phase: str | None
+) -> _Answer:
+    """Return what is decided, or why something is where it is."""
     answer = how(problem)
     result = answer.task_result
     several = len(result.results) > 1
-    explanation = None
+    whole = result if several else result.only[1]
+    plain = {**whole.to_dict(), "predicted": answer.predicted}
     if explain is not None:
         first = result.first_with(explain)
         phase = phase or first
         if phase not in result.results or result.results[phase].placement:
             explanation = result.explain(phase, explain)
-    if json:
-        plain = result.to_dict() if several else result.only[1].to_dict()
-        extra = {"explanation": explanation} if explanation else {}
-        print_json(
-            {
-                **plain,
-                "predicted": answer.predicted,
-                **extra,
-                **({"phase": phase} if several and extra else {}),
-            }
-        )
-        return result.feasible
-    console = console_to()
-    if explanation is None:
-        show(result, console, answer.predicted)
-        return result.feasible
-    if several:
-        console.print(f"phase {phase}:", highlight=False)
-    show_explanation(explanation, console)
-    return result.feasible
+            plain["explanation"] = explanation
+            parts = [*explanation_parts(explanation)]
+            if several:
+                plain["phase"] = phase
+                parts.insert(0, f"phase {phase}:")
+            return _Answer(result.feasible, plain, parts)
+    return _Answer(result.feasible, plain, plan_parts(result, answer.predicted))
 
 
-def _answer_smallest(
-    tasks: Mapping[str, plan.TaskProblem],
-    how: Decider,
-    stop: Callable[[], bool],
-    *,
-    json: bool,
-) -> bool:
-    """Print the cheapest computers on which each task fits; return whether all do."""
+def _smallest(
+    tasks: Mapping[str, plan.TaskProblem], how: Decider, stop: Callable[[], bool]
+) -> _Answer:
+    """Return the cheapest computers on which each task fits, if all do."""
     problems = [*tasks.values()]
     decided: list[DecidedByTime] = []
 
@@ -392,44 +361,35 @@ def _answer_smallest(
     known = problems[0].computers
     price = sum(h.price for h in known if h.name in few.computers)
     results = dict(zip(tasks, zip(few.results, times, strict=True), strict=False))
-    if json:
-        answer = {
-            "feasible": few.feasible,
-            "computers": few.computers,
-            "price": price,
-            "smallest_proven": few.proven,
-            "tasks": {
-                task: {**result.to_dict(), "predicted": predicted}
-                for task, (result, predicted) in results.items()
-            },
-        }
-        print_json(answer)
-        return few.feasible
-    console = console_to()
-    if few.feasible:
-        show_smallest(few, price, console)
+    plain = {
+        "feasible": few.feasible,
+        "computers": few.computers,
+        "price": price,
+        "smallest_proven": few.proven,
+        "tasks": {
+            task: {**result.to_dict(), "predicted": predicted}
+            for task, (result, predicted) in results.items()
+        },
+    }
+    parts: list[RenderableType] = [smallest_line(few, price)] if few.feasible else []
     for task, (result, predicted) in results.items():
         if len(tasks) > 1:
-            console.print(f"\n[bold]{task}[/]", highlight=False)
-        show(result, console, predicted)
-    return few.feasible
+            parts.append(f"\n[bold]{task}[/]")
+        parts += plan_parts(result, predicted)
+    return _Answer(few.feasible, plain, parts)
 
 
-def _answer_comparison(
+def _comparison(
     problem: plan.TaskProblem,
     how: Callable[[str, plan.TaskProblem], DecidedByTime],
     methods: str,
-    *,
-    json: bool,
-) -> bool:
-    """Print what several methods find; return whether one of them holds."""
+) -> _Answer:
+    """Return what several methods find."""
     names = [name.strip() for name in methods.split(",")]
     results = {name: how(name, problem).task_result.only[1] for name in names}
-    if json:
-        print_json({"results": {name: r.to_dict() for name, r in results.items()}})
-    else:
-        show_comparison(problem.phases[0].problem, results, console_to())
-    return any(result.feasible for result in results.values())
+    plain = {"results": {name: r.to_dict() for name, r in results.items()}}
+    parts = comparison_parts(problem.phases[0].problem, results)
+    return _Answer(any(r.feasible for r in results.values()), plain, parts)
 
 
 def changed_problem(
@@ -475,29 +435,22 @@ def computer_of(text: str, option: str) -> Computer:
 
 
 def _factors(texts: Sequence[str]) -> dict[str, float]:
-    """Return name -> factor; UsageError for a name that is there twice."""
+    """Return name -> factor of ``NAME=0.5``; UsageError: a name is there twice."""
     given: dict[str, str] = {}
     factors = {}
     for text in texts:
-        name, factor = _factor(text)
+        name, value = _pair(f"--scale {text!r}", text)
+        try:
+            factors[name] = float(value)
+        except ValueError:
+            factors[name] = -1.0
+        if not (isfinite(factors[name]) and factors[name] >= 0):
+            raise UsageError(f"--scale {text!r}: {value!r} is not a number >= 0")
         if (other := given.setdefault(name, text)) is not text:
             raise UsageError(
                 f"--scale {other} and --scale {text} are about the same: give one"
             )
-        factors[name] = factor
     return factors
-
-
-def _factor(text: str) -> tuple[str, float]:
-    """Return the name and the factor of ``NAME=0.5``."""
-    name, value = _pair(f"--scale {text!r}", text)
-    try:
-        number = float(value)
-    except ValueError:
-        number = -1.0
-    if not (isfinite(number) and number >= 0):
-        raise UsageError(f"--scale {text!r}: {value!r} is not a number >= 0")
-    return name, number
 
 
 def _pair(option: str, text: str) -> tuple[str, str]:

@@ -11,20 +11,11 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
-from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from poise.cli.main import Interrupts
-from poise.cli.options import (
-    AsJson,
-    RobotFile,
-    Set,
-    arguments_of,
-    parse_option,
-    print_json,
-    show,
-)
+from poise.cli.options import AsJson, RobotFile, Set, arguments_of, parse_option, show
 from poise.errors import RobotError, RunError
 from poise.estimate.demands import overheads
 from poise.estimate.profiles import Profile
@@ -38,8 +29,8 @@ from poise.session.profiling.stored_profiles import (
     stale,
     write_demands,
 )
-from poise.session.render.printable import console_to
-from poise.session.render.profile_tables import history_table, show_profile
+from poise.session.render.printable import SafeConsole, console_to
+from poise.session.render.profile_tables import history_table, profile_parts
 from poise.session.render.tables import table
 from poise.session.robot_file import load_bare
 from poise.units import SECONDS
@@ -87,17 +78,17 @@ def profile_command(
             seconds=parse_option("--for", for_, SECONDS),
             warm_up=parse_option("--warm-up", warm_up, SECONDS),
             repeat=repeat,
-            say=lambda sentence: console.print(f"[yellow]{escape(sentence)}[/]"),
+            say=console.warn,
             progress=partial(_progress, console),
             check=interrupts.check,
         )
     _print(robot, measured.profile, console, as_json=as_json)
     if measured.file:
-        console.print(escape(f"written to {measured.file}"))
+        console.say(f"written to {measured.file}")
     else:
-        console.print(
+        console.say(
             "kept in the store, where the planner does not look: `poise profile show "
-            f"{escape(str(file))} --write` writes the demands into the robot file; "
+            f"{file} --write` writes the demands into the robot file; "
             "with `profile: profile.yaml` in it, the next profile is the planner's, too"
         )
     if write:
@@ -139,41 +130,40 @@ def show_command(
         from poise.view.profile_plot import plot_profile
 
         plot_profile(last, overheads(robot, last), plot)
-        console.print(escape(f"drawn to {plot}"))
+        console.say(f"drawn to {plot}")
     if write:
         _write(file, last, console)
 
 
-def _print(robot: Robot, shown: Profile, console: Console, *, as_json: bool) -> None:
-    if as_json:
-        print_json(shown)
-        return
-    show_profile(robot, shown, console)
+def _print(
+    robot: Robot, shown: Profile, console: SafeConsole, *, as_json: bool
+) -> None:
+    show(shown, profile_parts(robot, shown), as_json=as_json)
     old = stale(robot, shown)
-    if old:
-        console.print(f"[yellow]changed since it was measured: {', '.join(old)}[/]")
+    if old and not as_json:
+        console.warn(f"changed since it was measured: {', '.join(old)}")
 
 
-def _write(file: Path, shown: Profile, console: Console) -> None:
+def _write(file: Path, shown: Profile, console: SafeConsole) -> None:
     changed = write_demands(file, shown)
     files = ", ".join(map(str, changed)) or "no file"
-    console.print(escape(f"demands written to {files}"))
+    console.say(f"demands written to {files}")
 
 
-def _report_silence(measured: Profiling, console: Console) -> None:
+def _report_silence(measured: Profiling, console: SafeConsole) -> None:
     for component, ports in measured.silent.items():
         doubt = component in measured.unrecorded
         for port in ports:
-            console.print(
-                f"[yellow]port '{port}' of component '{component}' got nothing during "
-                f"the measurement{'; its figures are discarded' if doubt else ''}[/]"
+            console.warn(
+                f"port '{port}' of component '{component}' got nothing during the "
+                f"measurement{'; its figures are discarded' if doubt else ''}"
             )
     if measured.unrecorded:
-        console.print(f"[yellow]not recorded: {', '.join(measured.unrecorded)}[/]")
+        console.warn(f"not recorded: {', '.join(measured.unrecorded)}")
     if not measured.silent.keys().isdisjoint(measured.unrecorded):
-        console.print(
-            "[yellow]Connect what sends to these ports, or let the robot file generate "
-            "messages for them (`workload: {generate: ...}`)[/]"
+        console.warn(
+            "Connect what sends to these ports, or let the robot file generate "
+            "messages for them (`workload: {generate: ...}`)"
         )
 
 
@@ -231,7 +221,7 @@ def calibrate_command(
     if not result.kept:
         raise RunError(f"not written: {reasons}. `--force` writes the result anyway")
     if reasons:
-        console.print(f"[yellow]{reasons}[/]")
+        console.warn(reasons)
     console.print("written to the store, and to the profile if there is one")
 
 

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
-from rich.markup import escape
 from rich.table import Table
 
 from poise.cli.main import Interrupts
@@ -71,10 +70,7 @@ def recording_command(
     if robot is None:
         raise UsageError("give the robot file: --robot robot.yaml")
     console = console_to(stderr=as_json)
-    demand_estimates = recorded.replay(
-        load_bare(robot),
-        say=lambda sentence: console.print(f"[yellow]{escape(sentence)}[/]"),
-    )
+    demand_estimates = recorded.replay(load_bare(robot), say=console.warn)
     show(demand_estimates, [_estimate_table(demand_estimates)], as_json=as_json)
 
 
@@ -148,7 +144,7 @@ def record_command(
                 robot=status.robot,
                 seconds=seconds,
                 rate=rate,
-                say=lambda sentence: console.print(escape(sentence)),
+                say=console.say,
                 check=interrupts.check,
                 tell=lambda now, what: shown.update(f"{now:.0f} s{ends}: {what}"),
             )
@@ -182,27 +178,23 @@ def play_command(
     poise play run.mcap --rate 2 --only camera.picture
     """
     console = console_to(stderr=as_json)
-
-    def say(sentence: str) -> None:
-        console.print(escape(sentence), soft_wrap=True)
-
     with Interrupts() as interrupts:
         played = play(
             file,
             robot=robot,
             rate=rate,
             only=only or (),
-            say=say,
+            say=console.say,
             check=interrupts.check,
         )
     if as_json:
         print_json(played)
     else:
         for port, count in sorted(played.messages.items()):
-            say(f"{port}: {counted(count, 'message')}")
+            console.say(f"{port}: {counted(count, 'message')}")
         if played.behind > _LATE:
             late = f"the last one was {played.behind:.1f} s late"
-            say(f"{late}: play it with a lower --rate")
+            console.say(f"{late}: play it with a lower --rate")
     if any(why != CALLS for why in played.skipped.values()):
         raise typer.Exit(1)
 

@@ -114,9 +114,7 @@ def policy_command(
         return
     if recording is None:
         raise UsageError("give a recording: --recording FILE, of `poise up --record`")
-    events = poise.test_policies(
-        robot, recording, say=lambda text: console.print(escape(text), style="yellow")
-    )
+    events = poise.test_policies(robot, recording, say=console.warn)
     show(events, _event_parts(events), as_json=as_json)
 
 

@@ -13,7 +13,6 @@ from typing import Annotated, Literal
 import msgspec
 import typer
 from msgspec.structs import replace
-from rich.markup import escape
 
 from poise.cli.main import Interrupts
 from poise.cli.options import (
@@ -89,10 +88,7 @@ def run_command(
     if not seconds > 0:
         raise UsageError(f"--for {for_}: a run must last longer than 0 s")
     console = console_to(stderr=as_json)
-
-    def say(sentence: str) -> None:
-        console.print(escape(sentence))
-
+    say = console.say
     with console.status("checking the robot file and its code ..."):
         robot = load(file, arguments_of(set_), say=say)
     chosen = task_of(robot, task)

@@ -8,8 +8,6 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.markup import escape
 
 from poise.cli.main import Interrupts
 from poise.cli.options import (
@@ -100,15 +98,8 @@ def simulate_command(
             f"--compare {compare} and --placement {placement} together: add "
             f"{placement} to --compare"
         )
-    console = Console(stderr=True, highlight=False)
-
-    def say(sentence: str) -> None:
-        console.print(escape(sentence))
-
-    measured = profiled(with_code(load(file, arguments_of(set_))))
-    for sentence in measured.says:
-        say(sentence)
-    robot = measured.robot
+    console = console_to(stderr=True)
+    robot = profiled(with_code(load(file, arguments_of(set_))), console.say)
     chosen = task_of(robot, task)
     run: Callable[..., Simulation | SimulationComparison]
     if compare is None:
@@ -127,11 +118,11 @@ def simulate_command(
                 seed=seed,
                 adapt=adapt,
                 recording=recording,
-                say=say,
+                say=console.say,
                 meanwhile=show,
                 check=interrupts.check,
             )
-        is_kept = html is None or try_write(html, result.page(), say)
+        is_kept = html is None or try_write(html, result.page(), console.say)
         if as_json:
             print_json(result)
         else:

@@ -84,10 +84,9 @@ def load(
         The file has no argument of such a name.
     """
     source = _checked(file, arguments, meanwhile)
-    found = profiled(source.robot)
-    for sentence in (*source.repository.passed_over, *found.says):
+    for sentence in source.repository.passed_over:
         say(sentence)
-    return found.robot
+    return profiled(source.robot, say)
 
 
 def load_bare(

@@ -69,13 +69,13 @@ def write(robot: Robot, profile: Profile) -> None:
 
 def test_says_where_demands_are_from_and_what_is_missing(robot: Robot) -> None:
     write(robot, measured(robot))
-    found = profiled(robot)
-    assert found.says == (
+    said: list[str] = []
+    eye, ear = profiled(robot, said.append).components()
+    assert said == [
         "demands from profile.yaml, measured by `poise profile` on 'a', today",
         "overheads are MB/s: `poise calibrate` measures the costs of connectors",
         "no demand is known of: ear",
-    )
-    eye, ear = found.robot.components()
+    ]
     assert eye.demand == pytest.approx({"cpu": 0.21, "memory": 11e6})
     assert ear.demand == pytest.approx({"cpu": 0.07})
 
@@ -86,16 +86,19 @@ def test_says_that_the_robot_files_own_demands_go_first(robot: Robot) -> None:
     (folder / "robot.yaml").write_text(TEXT.replace('"eyes:Eye"}', own))
     robot = load(folder / "robot.yaml")
     write(robot, measured(robot))
-    found = profiled(robot)
-    assert "demands from the robot file, which take precedence: eye" in found.says
-    assert next(found.robot.components()).demand == {"cpu": 0.3, "memory": 20e6}
+    said: list[str] = []
+    found = profiled(robot, said.append)
+    assert "demands from the robot file, which take precedence: eye" in said
+    assert next(found.components()).demand == {"cpu": 0.3, "memory": 20e6}
 
 
 def test_says_that_a_profile_is_stale(robot: Robot) -> None:
     write(robot, measured(robot))
     assert stale(robot, measured(robot)) == []
     (Path(robot.folder) / "eyes.py").write_text("class Eye:\n    x = 1\n")
-    assert "changed since they were measured: eye" in profiled(robot).says
+    said: list[str] = []
+    profiled(robot, said.append)
+    assert "changed since they were measured: eye" in said
 
 
 @pytest.mark.parametrize(
@@ -122,15 +125,17 @@ def test_cpu_of_a_real_computer_is_given_for_the_speed_that_it_has_now(
     assert now.cpu.sustained == 0.2 * factor
     assert now.share == 0.01 * factor
     assert now.handlers["look"].mean == 0.01 * factor
-    demand = next(profiled(robot).robot.components()).demand["cpu"]
+    demand = next(profiled(robot).components()).demand["cpu"]
     assert demand == pytest.approx((0.2 + 0.01) * 1.05 * factor)
 
 
 def test_says_what_measures_a_profile_that_is_not_there(robot: Robot) -> None:
-    found = profiled(robot)
-    assert found.robot == robot
-    assert found.says == ("profile.yaml does not exist: `poise profile` measures it",)
-    assert profiled(replace(robot, profile="")).says == ()
+    said: list[str] = []
+    assert profiled(robot, said.append) == robot
+    assert said == ["profile.yaml does not exist: `poise profile` measures it"]
+    said.clear()
+    profiled(replace(robot, profile=""), said.append)
+    assert said == []
 
 
 def test_refuses_the_profile_of_another_robot(robot: Robot) -> None:

@@ -23,7 +23,7 @@ from poise.estimate.profiles import (
 )
 from poise.model import load
 from poise.model.robot import Robot
-from poise.session.render.profile_tables import history_table, show_profile
+from poise.session.render.profile_tables import history_table, profile_parts
 from tests.command import Poise
 
 ROBOT = """\
@@ -102,7 +102,7 @@ def shown(
     )
     profile = replace(NOW, components={"eye": measured})
     console = Console(file=out, width=80, color_system=None)
-    show_profile(load(file), profile, console)
+    console.print(*profile_parts(load(file), profile))
     return out.getvalue()
 
 
@@ -143,7 +143,8 @@ def test_calls_that_wait_are_shown_with_their_connector() -> None:
     calls = ConnectorProfile(calls=1.0, answering=taken)
     robot, out = Robot(name="r", computers=()), io.StringIO()
     console = Console(file=out, width=200, color_system=None)
-    show_profile(robot, replace(NOW, connectors={"eye.x-mind.y": calls}), console)
+    now = replace(NOW, connectors={"eye.x-mind.y": calls})
+    console.print(*profile_parts(robot, now))
     (row,) = (line for line in out.getvalue().splitlines() if "30 ms" in line)
     assert row.split() == ["eye.x-mind.y", "4", "ms", "33%", "30", "ms", "50", "ms"]
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 from pathlib import Path
 
-from msgspec import Struct
 from msgspec.structs import replace
 
 from poise.emulate import full_speed
@@ -18,17 +17,11 @@ from poise.model.loading import load_source
 from poise.model.robot import Robot
 from poise.model.yaml_tree import Location, with_values
 from poise.runtime.calibration import score
+from poise.session import Say, nothing
 from poise.session.folders import to_write, write_whole
 
 _MOST_NAMED = 4
 STORE = Path(".poise") / "profiles.sqlite"
-
-
-class Profiled(Struct, frozen=True):
-    """A robot with its demands filled in, and sentences about their sources."""
-
-    robot: Robot
-    says: tuple[str, ...] = ()
 
 
 def read_profile(robot: Robot) -> Profile | None:
@@ -80,17 +73,20 @@ def check_keepable(robot: Robot) -> None:
         to_write(Path(robot.folder) / robot.profile if robot.profile else None)
 
 
-def profiled(robot: Robot) -> Profiled:
-    """Return the robot with measured demands where its file has none."""
+def profiled(robot: Robot, say: Say = nothing) -> Robot:
+    """Return the robot with measured demands where its file has none; say whence."""
     profile = own_profile(robot)
     if profile is None:
-        asked = f"{robot.profile} does not exist: `poise profile` measures it"
-        return Profiled(robot, (asked,) if robot.profile else ())
+        if robot.profile:
+            say(f"{robot.profile} does not exist: `poise profile` measures it")
+        return robot
     source = f"{robot.profile}, measured by `poise profile` on '{profile.computer}'"
-    costs = "overheads are MB/s: `poise calibrate` measures the costs of connectors"
-    if profile.costs:
-        costs = "overheads from measured costs of connectors"
-    says = [f"demands from {source}, {profile.at}", costs]
+    say(f"demands from {source}, {profile.at}")
+    say(
+        "overheads from measured costs of connectors"
+        if profile.costs
+        else "overheads are MB/s: `poise calibrate` measures the costs of connectors"
+    )
     own = [
         component.name
         for component in robot.components()
@@ -98,12 +94,12 @@ def profiled(robot: Robot) -> Profiled:
         and {"cpu", "memory"} <= component.demand.keys()
     ]
     if own:
-        says.append(f"demands from the robot file, which take precedence: {_some(own)}")
+        say(f"demands from the robot file, which take precedence: {_some(own)}")
     if gaps := missing(robot, profile):
-        says.append(f"no demand is known of: {_some(gaps)}")
+        say(f"no demand is known of: {_some(gaps)}")
     if old := stale(robot, profile):
-        says.append(f"changed since they were measured: {_some(old)}")
-    return Profiled(with_profile(robot, profile), tuple(says))
+        say(f"changed since they were measured: {_some(old)}")
+    return with_profile(robot, profile)
 
 
 def _some(names: list[str]) -> str:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 
-from rich.console import Console, RenderableType
+from rich.console import RenderableType
 from rich.markup import escape
+from rich.table import Table
 
 from poise import plan, units
 from poise.model.robot import Computer
@@ -36,7 +37,10 @@ def plan_parts(
     several = len(task_result.results) > 1
     parts = _phases(task_result) if several else _phase(task_result.only[1])
     legend = () if task_result.total is None else (f"[dim]{_LEGEND}[/]",)
-    return (*parts, *legend, *_chains(task_result, times), *_left_out(times))
+    # which timers were late by what is not predicted
+    left_out = (guess for guess in _guesses(times) if guess.endswith(LEFT_OUT))
+    assumed = (f"[yellow]assumed: {escape(guess)}[/]" for guess in left_out)
+    return (*parts, *legend, *_chains(task_result, times), *assumed)
 
 
 def _chains(
@@ -94,13 +98,6 @@ def _chains(
         ]
         if late:
             yield _line(f"predicted to miss deadlines{where}", ", ".join(late))
-
-
-def _left_out(times: Mapping[str, PredictedTimes]) -> Iterator[str]:
-    """Yield which timers were late by what is not predicted."""
-    for guess in _guesses(times):
-        if guess.endswith(LEFT_OUT):
-            yield f"[yellow]assumed: {escape(guess)}[/]"
 
 
 def _guesses(times: Mapping[str, PredictedTimes]) -> Iterable[str]:
@@ -162,24 +159,11 @@ def _line(head: str, text: str) -> str:
     return f"[bold red]{escape(head)}[/]: {escape(text)}"
 
 
-def show(
-    task_result: plan.TaskResult,
-    console: Console,
-    times: Mapping[str, PredictedTimes] = {},
-) -> None:
-    """Print a placement, and what is predicted of each phase."""
-    for part in plan_parts(task_result, times):
-        console.print(part, highlight=False)
-
-
-def show_smallest(few: plan.Smallest, price: float, console: Console) -> None:
-    """Print on which computers everything fits, and for what price."""
+def smallest_line(few: plan.Smallest, price: float) -> str:
+    """Return on which computers everything fits, and for what price."""
     known = "no cheaper set will do" if few.proven else "a cheaper set may do"
-    names = ", ".join(few.computers)
-    console.print(
-        f"fits on {len(few.computers)}, price {price:.12g}: {escape(names)}; {known}",
-        highlight=False,
-    )
+    names = escape(", ".join(few.computers))
+    return f"fits on {len(few.computers)}, price {price:.12g}: {names}; {known}"
 
 
 def _some(names: list[str]) -> str:
@@ -294,10 +278,10 @@ def _sum(result: plan.TaskResult) -> str:
     )
 
 
-def show_comparison(
-    problem: plan.Problem, results: dict[str, plan.Result], console: Console
-) -> None:
-    """Print results side by side: the terms of F, then load by computer."""
+def comparison_parts(
+    problem: plan.Problem, results: Mapping[str, plan.Result]
+) -> Iterator[RenderableType]:
+    """Yield results side by side: the terms of F, then load by computer."""
     names = list(results)
     rows = table("", *map(escape, names))
     rows.add_row("total", *(_term(results[name], "total") for name in names))
@@ -322,28 +306,28 @@ def show_comparison(
                     for x, is_placed in zip(loads, placed, strict=True)
                 ),
             )
-    console.print(rows)
+    yield rows
     for name, result in results.items():
         if result.reason:
-            console.print(escape(f"{name}: {result.reason}"), highlight=False)
+            yield escape(f"{name}: {result.reason}")
 
 
-def show_explanation(
-    explanation: plan.Explanation | plan.Rejection, console: Console
-) -> None:
-    """Print why something is where it is, or not there, and what else would cost."""
+def explanation_parts(
+    explanation: plan.Explanation | plan.Rejection,
+) -> Iterator[RenderableType]:
+    """Yield why something is where it is, or not there, and what else would cost."""
+    yield escape(str(explanation))
     if isinstance(explanation, plan.Rejection):
-        _show_rejection(explanation, console)
+        yield from _with_it(explanation)
     else:
-        _show_options(explanation, console)
-    console.print(f"[dim]{_LEGEND}[/]", highlight=False)
+        if explanation.together:
+            names = escape(", ".join(explanation.together))
+            yield f"It moves together with {names}."
+        yield _options(explanation)
+    yield f"[dim]{_LEGEND}[/]"
 
 
-def _show_options(explanation: plan.Explanation, console: Console) -> None:
-    console.print(escape(str(explanation)), highlight=False)
-    if explanation.together:
-        names = escape(", ".join(explanation.together))
-        console.print(f"It moves together with {names}.", highlight=False)
+def _options(explanation: plan.Explanation) -> Table:
     options = explanation.options
     terms = [
         name
@@ -362,11 +346,10 @@ def _show_options(explanation: plan.Explanation, console: Console) -> None:
             ),
             escape(option.obstacle) or ("here" if here else ""),
         )
-    console.print(rows)
+    return rows
 
 
-def _show_rejection(rejection: plan.Rejection, console: Console) -> None:
-    console.print(escape(str(rejection)), highlight=False)
+def _with_it(rejection: plan.Rejection) -> Iterator[Table]:
     if rejection.objective is None or rejection.change is None:
         return
     names = ("total", *TERMS)
@@ -375,7 +358,7 @@ def _show_rejection(rejection: plan.Rejection, console: Console) -> None:
     change = (f"{getattr(rejection.change, name):+.4g}" for name in names)
     rows.add_row("with it, at best", *best)
     rows.add_row("change", *change)
-    console.print(rows)
+    yield rows
 
 
 def _terms(result: plan.Result) -> str:

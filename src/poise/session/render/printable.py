@@ -7,6 +7,7 @@ from io import StringIO
 from typing import Any
 
 from rich.console import Console, ConsoleOptions, RenderableType
+from rich.markup import escape
 from rich.segment import Segment
 from rich.terminal_theme import TerminalTheme
 from rich.text import Text
@@ -37,7 +38,7 @@ class Printable:
     def __str__(self) -> str:
         """Return the parts as text."""
         width = console_to().width
-        console = _SafeConsole(file=StringIO(), width=width, highlight=False)
+        console = SafeConsole(file=StringIO(), width=width, highlight=False)
         with console.capture() as text:
             console.print(self)
         return text.get().rstrip()
@@ -74,8 +75,16 @@ _COLOURS = TerminalTheme(
 _HTML = '<pre style="line-height:normal">{code}</pre>'
 
 
-class _SafeConsole(Console):
+class SafeConsole(Console):
     """Shows what would control the terminal in a text, as in a component's error."""
+
+    def say(self, sentence: str) -> None:
+        """Print a sentence, in which nothing is markup."""
+        self.print(escape(sentence))
+
+    def warn(self, sentence: str) -> None:
+        """Print a sentence in yellow, in which nothing is markup."""
+        self.print(escape(sentence), style="yellow")
 
     def render_str(self, text: str, **options: Any) -> Text:  # noqa: ANN401, as the base
         """Return a text before its width is measured, as the base."""
@@ -92,9 +101,9 @@ class _SafeConsole(Console):
                 yield segment
 
 
-def console_to(*, stderr: bool = False) -> Console:
+def console_to(*, stderr: bool = False) -> SafeConsole:
     """Return a console for a command; wide where no terminal says how wide it is."""
-    console = _SafeConsole(stderr=stderr, highlight=False)
+    console = SafeConsole(stderr=stderr, highlight=False)
     if not console.is_terminal:
         console.width = _WIDTH
     return console

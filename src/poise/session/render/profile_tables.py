@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from rich.console import Console
+from rich.console import RenderableType
 from rich.table import Table
 
 from poise.estimate.demands import cpu_demand, memory_demand, overheads
@@ -16,15 +16,15 @@ from poise.estimate.profiles import (
 )
 from poise.model.robot import Robot
 from poise.session.profiling.figures import AGREE_CORES, AGREE_SHARE
-from poise.session.render.tables import NamedRows, table
+from poise.session.render.tables import NamedRows, filled, table
 from poise.units import format_bytes, format_seconds
 
 _MOST_EARLIER = 2
 
 
-def show_profile(robot: Robot, profile: Profile, console: Console) -> None:
-    """Print a profile's components, timers and connectors."""
-    console.print(
+def profile_parts(robot: Robot, profile: Profile) -> Iterator[RenderableType]:
+    """Yield a profile's components, timers and connectors, and what is doubtful."""
+    yield (
         f"robot '{profile.robot}' on '{profile.computer}' (speed {profile.speed:g}), "
         f"{profile.at}, Poise {profile.poise}, {profile.seconds:g} s each time"
     )
@@ -33,28 +33,22 @@ def show_profile(robot: Robot, profile: Profile, console: Console) -> None:
         for component in robot.components()
         if component.name in profile.components
     }
-    console.print(_cpu(found))
-    console.print(_needs(found))
-    if any(component.timers for component in found.values()):
-        console.print(_timers(found))
-    waits = _waits(profile)
-    if waits.row_count:
-        console.print(waits)
+    yield _cpu(found)
+    yield _needs(found)
+    yield from filled(_timers(found), _waits(profile))
     connectors = _connectors(robot, profile)
     if connectors.row_count:
-        console.print(connectors)
+        yield connectors
         unit = "hundredths of a core" if profile.costs else "MB/s"
-        console.print(f"overhead in {unit}, while the ends are apart")
-    if little := [name for name, each in found.items() if not each.memory]:
-        console.print(
-            f"too little memory to tell from an empty container: {', '.join(little)}"
-        )
+        yield f"overhead in {unit}, while the ends are apart"
+    if little := ", ".join(name for name, each in found.items() if not each.memory):
+        yield f"too little memory to tell from an empty container: {little}"
     for name, each in found.items():
         if not each.stable:
-            console.print(f"[yellow]unstable: {name} ± {each.repeat / 2:.1%}[/]")
+            yield f"[yellow]unstable: {name} ± {each.repeat / 2:.1%}[/]"
         for timer, times in each.timers.items():
             if not times.maximum:
-                console.print(
+                yield (
                     f"[yellow]not known: how long {name}.{timer} runs, as no run "
                     f"ended; measure for more than {format_seconds(times.period)}[/]"
                 )

@@ -20,6 +20,7 @@ from poise.session.render.tables import (
     clock_tables,
     connector_tables,
     failed_calls,
+    filled,
     table,
     task_lines,
 )
@@ -173,5 +174,4 @@ def _measure_tables(report: RunRecord) -> Iterator[Table]:
             numbers = (f"{value:.4g}" for value in values)
             measured = escape(f"{component.name} {name}")
             rows.add_row(measured, str(summary.count), *numbers)
-    if rows.row_count:
-        yield rows
+    return filled(rows)

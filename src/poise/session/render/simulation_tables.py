@@ -13,7 +13,7 @@ from rich.table import Table
 from poise.manage.tasks.task_reports import OVER
 from poise.session.render.picture import bar_row
 from poise.session.render.report_page import Mark, document, html_table, over_time
-from poise.session.render.tables import table
+from poise.session.render.tables import filled, table
 from poise.simulation.simulation_report import (
     SimulatedEvent,
     SimulatedLoad,
@@ -214,7 +214,7 @@ def _timers(report: SimulationReport) -> Iterator[RenderableType]:
     yield from _rows(rows, len(timers), "late timer")
 
 
-def _chains(report: SimulationReport) -> Iterator[RenderableType]:
+def _chains(report: SimulationReport) -> Iterator[Table]:
     rows = table(
         "chain,\ndata age", "deadline", "used", "missed", "median", "p99", "maximum"
     )
@@ -227,8 +227,7 @@ def _chains(report: SimulationReport) -> Iterator[RenderableType]:
         part = f"{share(chain.missed, chain.uses):.1%}" if until else ""
         ages = map(format_seconds, (chain.median, chain.p99, chain.maximum))
         rows.add_row(*head, part, *ages)
-    if rows.row_count:
-        yield rows
+    return filled(rows)
 
 
 def _faults(report: SimulationReport) -> Iterator[str]:
@@ -269,8 +268,7 @@ def _messages(report: SimulationReport) -> str:
 
 
 def _rows(rows: Table, count: int, noun: str) -> Iterator[RenderableType]:
-    if rows.row_count:
-        yield rows
+    yield from filled(rows)
     yield from _more(count, noun)
 
 

@@ -72,6 +72,11 @@ class NamedRows:
             yield from (*row, Segment.line())
 
 
+def filled(*tables: Table) -> Iterator[Table]:
+    """Yield the tables that have rows."""
+    return (each for each in tables if each.row_count)
+
+
 def chain_tables(chains: Iterable[ChainReport]) -> Iterator[Table]:
     """Yield a row for each chain, if there is one: the age of its data when used."""
     names = "chain,\ndata age", "deadline", "used", "late", "median", "p99", "longest"
@@ -86,8 +91,7 @@ def chain_tables(chains: Iterable[ChainReport]) -> Iterator[Table]:
         if chain.error > _NOTABLE * age.median:
             ages[0] += f" ± {format_seconds(chain.error)}"
         rows.add_row(*head, str(age.count), share, *ages, _slowest(chain))
-    if rows.row_count:
-        yield rows
+    return filled(rows)
 
 
 _NOTABLE = 0.1
@@ -113,8 +117,7 @@ def clock_tables(clocks: Mapping[str, Mapping[str, ClockStatus]]) -> Iterator[Ta
             error = format_seconds(clock.error)
             offset = f"{_signed(clock.offset, clock.error)} ± {error}"
             rows.add_row(there, here, offset, format_seconds(clock.trip))
-    if rows.row_count:
-        yield rows
+    return filled(rows)
 
 
 def _signed(offset: float, error: float) -> str:
