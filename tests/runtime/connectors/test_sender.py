@@ -181,6 +181,21 @@ def test_only_the_newest_messages_are_kept_back_from_a_target_that_is_cut_off(
     assert new.went == [3, 4, 5]
 
 
+def test_of_what_is_kept_back_already_only_the_newest_stay(
+    sender: Sender, old: FakeRoute, new: FakeRoute
+) -> None:
+    """Of 1 to 5 the newest two, 4 and 5, stay."""
+    sender.buffer_until_active()
+    for number in range(1, 6):
+        sender.send(number)
+    sender.buffer_for_move(keep=2)
+    assert sender.counts.drops == 3
+    sender.send_buffered()
+    sender.switch("new")
+    drain(sender)
+    assert (old.went, new.went) == ([], [4, 5])
+
+
 def test_what_is_kept_back_also_waits_for_a_target_that_moves(
     sender: Sender, old: FakeRoute, new: FakeRoute
 ) -> None:

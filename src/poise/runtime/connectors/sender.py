@@ -76,7 +76,7 @@ class Sender:
         self._exclusion = exclusion
         self._routes: dict[str, Route] = {}
         self._current: Route | None = None
-        self._buffer: MessageBuffer | None = None
+        self._buffer: deque[Waiting] | None = None
         self._source_is_inactive = self._target_moves = False
         self._is_claimed = self._is_draining = False
         self._lock = threading.Lock()
@@ -141,7 +141,10 @@ class Sender:
             if len(self._routes) < _WHILE_MOVING:
                 raise RunError(f"connector {self.name}: its target does not move")
             self._target_moves = True
-            self._begin_to_buffer().keep(keep)
+            buffer = self._begin_to_buffer()
+            if keep is not None:
+                self.counts.drops += max(0, len(buffer) - keep)
+                self._buffer = deque(buffer, keep)
 
     def buffer_until_active(self) -> None:
         """Buffer messages until `send_buffered`: the source is not active yet."""
@@ -235,7 +238,7 @@ class Sender:
             is_free = self._can_take()
             if is_free:
                 if self._buffer is not None:
-                    self._buffer.add((method, value, began))
+                    self._hold(self._buffer, (method, value, began))
                     return
                 route = self._claim()
         if is_free:
@@ -251,7 +254,7 @@ class Sender:
             with self._lock:
                 if self._wait(self._can_take, min(pause, left)):
                     if self._buffer is not None:
-                        self._buffer.add((method, value, began))
+                        self._hold(self._buffer, (method, value, began))
                         return
                     route = self._claim()
                     break
@@ -296,7 +299,7 @@ class Sender:
     def _can_take(self) -> bool:
         """Return whether a message may be sent or buffered now."""
         if self._buffer is not None:
-            return self._buffer.has_room()
+            return len(self._buffer) < MOST_BUFFERED
         if self._is_claimed:
             return False
         return self._current is None or self._current.has_room()
@@ -341,9 +344,14 @@ class Sender:
             text = "connector %s: no room for %g s, a message is dropped%s"
             log.warning(text, self.name, self._limit, more)
 
-    def _begin_to_buffer(self) -> MessageBuffer:
+    def _hold(self, buffer: deque[Waiting], waiting: Waiting) -> None:
+        """Buffer a message, in place of the oldest where only the newest are kept."""
+        self.counts.drops += len(buffer) == buffer.maxlen
+        buffer.append(waiting)
+
+    def _begin_to_buffer(self) -> deque[Waiting]:
         if self._buffer is None:
-            self._buffer = MessageBuffer(self.counts)
+            self._buffer = deque()
             self._changed.notify_all()
         return self._buffer
 
@@ -373,7 +381,7 @@ class Sender:
                 if self._is_claimed:
                     continue
                 route = self._claim()
-                method, value, began = self._buffer.pop()
+                method, value, began = self._buffer.popleft()
             try:
                 self._push(route, method, value, began)
             # its publisher has gone on, and the messages behind it have to go out
@@ -418,33 +426,3 @@ class Sender:
         if self._observers:
             call = observed_call(call, method.name, self._observers)
         return call
-
-
-class MessageBuffer:
-    """Messages and one-way calls, oldest first. Its sender holds a lock meanwhile."""
-
-    def __init__(self, counts: Counts) -> None:
-        self._counts = counts
-        self._waiting: deque[Waiting] = deque()
-
-    def __len__(self) -> int:
-        return len(self._waiting)
-
-    def has_room(self) -> bool:
-        """Return whether one more may be added."""
-        return len(self) < MOST_BUFFERED
-
-    def add(self, waiting: Waiting) -> None:
-        """Add the newest."""
-        self._counts.drops += len(self) == self._waiting.maxlen
-        self._waiting.append(waiting)
-
-    def pop(self) -> Waiting:
-        """Remove the oldest and return it; there must be one."""
-        return self._waiting.popleft()
-
-    def keep(self, most: int | None) -> None:
-        """Hold only the newest messages from now on; None: all, as before."""
-        if most is not None:
-            self._counts.drops += max(0, len(self) - most)
-            self._waiting = deque(self._waiting, most)
