@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import contextlib
 
+from msgspec import Struct
+
 from poise.clock import wall_time
 from poise.errors import RunError
 from poise.manage.deploy.live_robot import LiveRobot
@@ -17,10 +19,16 @@ from poise.wire.records.status_records import AgentStatus
 
 _MOMENT = 1.0
 """A command waits so long for a computer that has just been cut off [s]."""
-
-
 _REPLACED = 10.0
 """The next agent of a computer is there within this time after one has left [s]."""
+
+
+class _Loss(Struct):
+    at: float  # [s since 1970]
+    moment: float  # by the robot's clock [s]
+    placed: tuple[tuple[str, int], ...] = ()  # the incarnations that were there
+    cause: str = ""  # in words, as far as it was known
+    was_cut_off: bool = False  # whether its lease has ended since
 
 
 class LostComputers:
@@ -28,17 +36,11 @@ class LostComputers:
 
     def __init__(self, live: LiveRobot) -> None:
         self._live = live
-        self._obeying = set(live.computers())
-        self._lost_at: dict[str, float] = {}
-        self._lost_moments: dict[str, float] = {}
-        for computer in sorted({c.name for c in live.robot.computers} - self._obeying):
-            self._lost_at[computer] = wall_time()
-            self._lost_moments[computer] = live.clock.now()
-        self._causes: dict[str, str] = {}
-        """Lost computer -> what was journalled of why, in words."""
-        self._was_cut_off: set[str] = set()
-        self._lost_with: dict[str, list[tuple[str, int]]] = {}
-        """Lost computer -> the incarnations that were placed there."""
+        self._lost = {
+            computer.name: _Loss(wall_time(), live.clock.now())
+            for computer in live.robot.computers
+            if computer.name not in live.computers()
+        }
         self._begin_again: dict[tuple[str, int], str] = {}
         """What was placed on a computer whose agent has been restarted since."""
         self._refused: dict[str, Deviation] = {}
@@ -47,29 +49,20 @@ class LostComputers:
 
     def note(self) -> None:
         """Journal which computers were lost, which are back, and which refuse."""
-        live = self._live
-        starts = _starts(live)
-        obeying = {
-            computer for computer in live.computers() if live.agents.obey(computer)
-        }
-        restarted = {
-            computer
-            for computer in self._obeying & obeying
+        live, starts = self._live, _starts(self._live)
+        obeying = set(filter(live.agents.obey, live.computers()))
+        for name in sorted({c.name for c in live.robot.computers} - self._lost.keys()):
             # an agent that was restarted at once obeys whom the one before it obeyed
-            if starts.get(computer) != self._starts.get(computer)
-        }
-        for computer in sorted(self._obeying - obeying | restarted):
-            self._note_lost(computer)
-        self._was_cut_off |= {
-            c
-            for c in self._lost_at
-            if c not in obeying and live.agents.heartbeats.is_cut_off(c)
-        }
-        for computer in sorted(self._lost_at.keys() & obeying):
+            if name not in obeying or starts.get(name) != self._starts.get(name):
+                self._note_lost(name)
+        for computer, loss in sorted(self._lost.items()):
+            if computer not in obeying:
+                loss.was_cut_off |= live.agents.heartbeats.is_cut_off(computer)
+                continue
             status = live.agents.statuses().get(computer)
             if status is not None and live.reconciler.is_current(computer, status):
                 self._note_back(computer, status)
-        if self._lost_at:
+        if self._lost:
             self._note_causes()
         self._note_refusals()
         if self._begin_again:
@@ -77,7 +70,7 @@ class LostComputers:
 
     def away(self) -> frozenset[str]:
         """Return those that do not obey, or have not done what they were told since."""
-        return frozenset(self._lost_at)
+        return frozenset(self._lost)
 
     def computers(self) -> frozenset[str]:
         """Return those that nobody hears: what ran there may be started elsewhere.
@@ -86,7 +79,7 @@ class LostComputers:
         next one stays for a while.
         """
         agents = self._live.agents
-        away = self._lost_at.keys() & agents.out_of_reach().keys() & self._live.claimed
+        away = self._lost.keys() & agents.out_of_reach().keys() & self._live.claimed
         return frozenset(
             name
             for name in sorted(away)
@@ -99,13 +92,14 @@ class LostComputers:
     def _is_replaced(self, computer: str) -> bool:
         """Return whether the next agent of a computer is awaited."""
         live, status = self._live, self._live.agents.statuses().get(computer)
-        since = live.clock.now() - self._lost_moments[computer]
+        since = live.clock.now() - self._lost[computer].moment
         return status is not None and status.is_leaving and since < _REPLACED
 
     def deviations(self) -> list[Deviation]:
         """Return what is known of each; from any thread."""
         since = self._live.agents.out_of_reach()
-        lost_at, refused = self._lost_at.copy(), self._refused.copy()
+        lost_at = {name: loss.at for name, loss in self._lost.copy().items()}
+        refused = self._refused.copy()
         reported, now = self._live.agents.statuses(), wall_time()
         for computer in self._live.robot.computers:
             if computer.name not in reported:
@@ -142,7 +136,7 @@ class LostComputers:
         """Wait for computers that were cut off for a moment: a command is to come."""
         live, now = self._live, self._live.clock.now()
         self.note()
-        lost = {n for n, at in self._lost_moments.items() if now - at < _MOMENT}
+        lost = {n for n, loss in self._lost.items() if now - loss.moment < _MOMENT}
         if not lost:
             return
 
@@ -150,10 +144,10 @@ class LostComputers:
             live.check()
             live.reconcile()
             self.note()
-            return lost.isdisjoint(self._lost_at)
+            return lost.isdisjoint(self._lost)
 
         live.agents.wait_news(are_back, _MOMENT)
-        back = lost - self._lost_at.keys()
+        back = lost - self._lost.keys()
         here = [
             incarnation
             for incarnation in live.placed.values()
@@ -164,49 +158,40 @@ class LostComputers:
 
     def _note_lost(self, computer: str) -> None:
         live = self._live
-        self._obeying.discard(computer)
-        self._lost_at[computer] = wall_time()
-        self._lost_moments[computer] = live.clock.now()
+        here = (each.key for each in live.placed.values() if each.computer == computer)
+        self._lost[computer] = _Loss(wall_time(), live.clock.now(), tuple(here))
         back = f"computer '{computer}' was cut off, or its agent was restarted"
         away = live.unreached().get(computer, back)
         if self._is_replaced(computer):
             away = f"the agent of '{computer}' is being replaced by another one"
         live.journal.note("wrong", away)
-        self._lost_with[computer] = [
-            each.key for each in live.placed.values() if each.computer == computer
-        ]
 
     def _note_causes(self) -> None:
         """Journal a computer again once more is known of why it is out of reach."""
         known = self._live.unreached(is_brief=True)
-        for computer in sorted(known.keys() & self._lost_at.keys()):
-            why = known[computer]
-            if len(why) > len(self._causes.setdefault(computer, why)):
-                self._causes[computer] = why
+        for computer in sorted(known.keys() & self._lost.keys()):
+            loss, why = self._lost[computer], known[computer]
+            if loss.cause and len(why) > len(loss.cause):
                 self._live.journal.note("wrong", self._live.unreached()[computer])
+            loss.cause = max(loss.cause, why, key=len)
 
     def _note_back(self, computer: str, status: AgentStatus) -> None:
         live = self._live
-        self._obeying.add(computer)
-        del self._lost_at[computer], self._lost_moments[computer]
-        self._causes.pop(computer, None)
-        was_cut_off = computer in self._was_cut_off
-        self._was_cut_off.discard(computer)
+        loss = self._lost.pop(computer)
         before, self._starts[computer] = self._starts.get(computer), status.start
-        lost = self._lost_with.pop(computer, ())
         what = f"computer '{computer}' is reached again"
         if before is None:
             what = f"computer '{computer}' is reached"
             if any(each.computer == computer for each in live.placed.values()):
                 what += "; its components keep running"
         elif before != status.start:
-            self._begin_again |= dict.fromkeys(lost, computer)
+            self._begin_again |= dict.fromkeys(loss.placed, computer)
             what = f"the agent of '{computer}' was restarted"
             if status.took_over is not None:
                 num = len(status.took_over)
                 went_on = counted(num, "container") if num else "no container"
                 what = f"{what}; {went_on} went on"
-        elif was_cut_off:
+        elif loss.was_cut_off:
             what += "; its movable components were inactive meanwhile"
         live.journal.note("right", what)
 
@@ -221,24 +206,19 @@ class LostComputers:
             component = live.reported(placed[key]) if key in placed else None
             if key not in placed:
                 del self._begin_again[key]
-            elif component is not None and computer not in self._lost_at:
+            elif component is not None and computer not in self._lost:
                 del self._begin_again[key]
                 took_over = live.agents.statuses()[computer].took_over
                 container = live.layout.container_of(placed[key])
                 went_on = took_over is None or container in took_over
                 is_kept = live.agents.checkpoints.get(*key) is not None
                 if component.has_state and not went_on and not is_kept:
-                    self._note_lost_state(component.name, computer)
-
-    def _note_lost_state(self, name: str, computer: str) -> None:
-        why = "it has no `checkpoint` in the robot file"
-        if self._live.robot.component(name).checkpoint:
-            why = "this manager has no copy of its checkpoint"
-        what = (
-            f"component '{name}' began again on '{computer}' without the state that it "
-            f"had: its process had ended with the agent or the computer; {why}"
-        )
-        self._live.note_lost_state(name, computer, what)
+                    what = (
+                        f"component '{key[0]}' began again on '{computer}' without the "
+                        "state that it had: its process had ended with the agent or "
+                        f"the computer; {live.why_no_checkpoint(key[0])}"
+                    )
+                    live.note_lost_state(key[0], computer, what)
 
     def _note_refusals(self) -> None:
         """Journal what an agent refuses, or does not answer, when that is new."""

@@ -104,18 +104,14 @@ def _hand_checkpoint(
 def _lost_state(live: LiveRobot, before: Incarnation) -> str:
     """Return why what has no checkpoint loses its state; empty: it had none."""
     name = before.component
-    has_checkpoint = bool(live.robot.component(name).checkpoint)
     has_state = any(
         at == before.computer and c.name == name and c.has_state
         for at, c in located(live.agents.statuses())
     )
-    if not (has_checkpoint or has_state):
+    if not (has_state or live.robot.component(name).checkpoint):
         return ""
-    why = "it has no `checkpoint` in the robot file"
-    if has_checkpoint:
-        why = "this manager has no copy of its checkpoint"
-    lost = f"without the state that it had on '{before.computer}': {why}"
-    return f"component '{name}' started {lost}"
+    lost = f"component '{name}' started without the state that it had on "
+    return f"{lost}'{before.computer}': {live.why_no_checkpoint(name)}"
 
 
 def transit(live: LiveRobot, steps: tuple[TransitionStep, ...]) -> TransitionReport:
