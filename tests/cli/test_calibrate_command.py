@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from poise.cli.command_table import build
-from poise.emulate.limits import StarvationWatch
+from poise.emulate import StarvationWatch
 from poise.errors import RunError
 from poise.estimate.profiles import Costs, KindCosts, Store
 from poise.session.profiling import calibrate as calibration

@@ -15,7 +15,7 @@ import msgspec
 import pytest
 
 from poise.emulate import Emulation, probe_host, set_for, sweep
-from poise.emulate.cgroups import V2, Group, Groups, Probe
+from poise.emulate.cgroups import V2, Groups, Probe
 from poise.emulate.limits import Limits
 from poise.emulate.registry import FOLDER, EmulationLayout, registered
 from poise.errors import RobotError, RunError, UsageError
@@ -127,7 +127,7 @@ def test_nothing_is_left_when_it_cannot_be_made(
     class Refusing(Groups):
         listed: EmulationLayout
 
-        def make(self, name: str, limits: Limits) -> Group:
+        def make(self, name: str, limits: Limits) -> None:
             """Refuse, as a kernel may."""
             Refusing.listed = own_layout()
             raise OSError(errno.EMFILE, f"Too many open files for {limits}", name)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from poise.emulate.limits import StarvationWatch, Usage, is_starved
+from poise.emulate import EmulatedComputer, StarvationWatch, Usage, is_starved
 
 
 class Time:
@@ -20,7 +20,7 @@ class Time:
         self.time += seconds
 
 
-class Half:
+class Half(EmulatedComputer):
     """A computer of half a core, whose usage is set by hand."""
 
     def __init__(self) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from poise.emulate.cgroups import V1
+from poise.emulate.cgroups import V1, Group
 from poise.emulate.limits import Limits
 from poise.kernel_counters import Mount
 
@@ -24,8 +24,14 @@ def groups(tmp_path: Path) -> V1:
     )
 
 
+def made(groups: V1, memory: int | None = None) -> Group:
+    """Make a group on one CPU."""
+    groups.make("run-0", Limits(quota=0.5, cpus=(2,), memory=memory))
+    return Group("run-0", groups.homes("run-0"), 1)
+
+
 def test_limits_are_written_to_each_hierarchy(groups: V1, tmp_path: Path) -> None:
-    group = groups.make("run-0", Limits(quota=0.5, cpus=(2,), memory=1000))
+    group = made(groups, memory=1000)
     cpu = tmp_path / "cpu,cpuacct" / "run-0"
     # 0.5 of a 10 ms period.
     assert (cpu / "cpu.cfs_period_us").read_text() == "10000\n"
@@ -47,7 +53,7 @@ def test_quota_that_fills_its_cpus_is_no_quota(groups: V1, tmp_path: Path) -> No
 
 
 def test_usage_is_read_in_seconds_and_bytes(groups: V1, tmp_path: Path) -> None:
-    group = groups.make("run-0", Limits(quota=0.5, cpus=(2,)))
+    group = made(groups)
     cpu = tmp_path / "cpu,cpuacct/run-0"
     (cpu / "cpu.stat").write_text("throttled_time 250000000\n")
     (cpu / "cpuacct.usage").write_text("1500000000\n")
@@ -61,7 +67,7 @@ def test_usage_is_read_in_seconds_and_bytes(groups: V1, tmp_path: Path) -> None:
 
 
 def test_what_waits_to_be_prepared_is_not_starved(groups: V1, tmp_path: Path) -> None:
-    group = groups.make("run-0", Limits(quota=0.5, cpus=(2,)))
+    group = made(groups)
     pressure = tmp_path / "hugetlb/run-0/cpu.pressure"
     pressure.write_text("full avg10=0 total=350000\n")
     prepared = tmp_path / "hugetlb/run-0/prepared/cpu.pressure"
@@ -71,4 +77,4 @@ def test_what_waits_to_be_prepared_is_not_starved(groups: V1, tmp_path: Path) ->
 
 
 def test_starvation_is_unknown_without_pressure(groups: V1) -> None:
-    assert groups.make("run-0", Limits(quota=0.5, cpus=(2,))).usage().starved is None
+    assert made(groups).usage().starved is None

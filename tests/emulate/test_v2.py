@@ -7,21 +7,22 @@ from pathlib import Path
 
 import pytest
 
-from poise.emulate.cgroups import V2, Files, bring_back
+from poise.emulate.cgroups import V2, Group, bring_back
 from poise.emulate.limits import Limits
 from poise.kernel_counters import Mount
 
 
-class Kernel(Files):
+class Kernel(V2):
     """Keeps cgroups in plain files, as the kernel would."""
 
     def __init__(self, top: Path, available: str, processes: str) -> None:
         self._top = top
-        self.make(top)
+        self.make_folder(top)
         (top / "cgroup.controllers").write_text(available)
         (top / "cgroup.procs").write_text(processes)
+        super().__init__(Mount(2, top, top, frozenset(available.split())))
 
-    def make(self, folder: Path) -> None:
+    def make_folder(self, folder: Path) -> None:
         """Make a cgroup with the files that every one has."""
         folder.mkdir(exist_ok=True)
         for name in ("cgroup.procs", "cgroup.subtree_control"):
@@ -30,13 +31,13 @@ class Kernel(Files):
     def write(self, file: Path, value: object) -> None:
         """Write; refuse controllers where processes are, or settings without them."""
         if file.name == "cgroup.subtree_control":
-            if self.read(file.parent / "cgroup.procs").split():
+            if (file.parent / "cgroup.procs").read_text().split():
                 raise OSError(errno.EBUSY, "Device or resource busy")
             file.write_text(str(value).replace("+", ""))
         elif file.name == "cgroup.procs":
             self._move(file, str(value))
         else:
-            enabled = self.read(self._top / "cgroup.subtree_control").split()
+            enabled = (self._top / "cgroup.subtree_control").read_text().split()
             if file.name.partition(".")[0] not in enabled:
                 raise OSError(errno.ENOENT, "No such file", str(file))
             super().write(file, value)
@@ -51,14 +52,13 @@ class Kernel(Files):
 def groups(
     top: Path, available: str = "cpu cpuset memory io", processes: str = ""
 ) -> V2:
-    kernel = Kernel(top, available, processes)
-    return V2(Mount(2, top, top, frozenset(available.split())), kernel)
+    return Kernel(top, available, processes)
 
 
 def test_limits_are_written_once_the_controllers_are_handed_on(tmp_path: Path) -> None:
     made = groups(tmp_path)
     made.prepare("run")
-    group = made.make("run-0", Limits(quota=0.5, cpus=(2, 3), memory=1000))
+    made.make("run-0", Limits(quota=0.5, cpus=(2, 3), memory=1000))
     folder = tmp_path / "run-0"
     assert (folder / "cpu.max").read_text() == "5000 10000\n"
     assert (folder / "cpu.weight").read_text() == "10000\n"
@@ -66,6 +66,7 @@ def test_limits_are_written_once_the_controllers_are_handed_on(tmp_path: Path) -
     assert (folder / "memory.max").read_text() == "1000\n"
     assert (folder / "memory.swap.max").read_text() == "0\n"
     # beside its programs an agent makes groups for containers
+    group = Group("run-0", made.homes("run-0"), 2)
     assert group.joins == (folder / "programs/cgroup.procs",)
     assert (folder / "cgroup.subtree_control").read_text() == "cpu"
 
@@ -97,7 +98,8 @@ def test_quota_that_fills_its_cpus_is_no_quota(tmp_path: Path) -> None:
 def test_usage_is_read_in_seconds_and_bytes(tmp_path: Path) -> None:
     made = groups(tmp_path)
     made.prepare("run")
-    group = made.make("run-0", Limits(quota=0.5, cpus=(0,)))
+    made.make("run-0", Limits(quota=0.5, cpus=(0,)))
+    group = Group("run-0", made.homes("run-0"), 1)
     folder = tmp_path / "run-0"
     (folder / "cpu.stat").write_text("usage_usec 1500000\nthrottled_usec 250000\n")
     (folder / "cpu.pressure").write_text("full avg10=0 total=350000\n")

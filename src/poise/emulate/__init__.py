@@ -3,8 +3,8 @@
 from poise.emulate.cgroups import Probe, probe_host
 from poise.emulate.cpu_load import background_load, full_speed
 from poise.emulate.emulated_set import EmulatedSet, all_sets, find_set, set_for
-from poise.emulate.emulation import EmulatedComputer, Emulation
-from poise.emulate.limits import StarvationWatch, Usage, is_starved
+from poise.emulate.emulation import EmulatedComputer, Emulation, StarvationWatch
+from poise.emulate.limits import Usage, is_starved
 from poise.emulate.registry import InjectedFault, sweep
 
 __all__ = [

@@ -17,22 +17,6 @@ from poise.emulate.processes import marked, stop
 from poise.kernel_counters import PREPARED, Mount, group_cpu, mounts, process_cpu, table
 
 
-class Files:
-    """Operations on cgroup files; tests replace it by a fake kernel."""
-
-    def make(self, folder: Path) -> None:
-        """Make a cgroup if it does not exist."""
-        folder.mkdir(exist_ok=True)
-
-    def write(self, file: Path, value: object) -> None:
-        """Write `value` to `file`; OSError when the kernel refuses."""
-        file.write_text(f"{value}\n")
-
-    def read(self, file: Path) -> str:
-        """Return the content of `file`."""
-        return file.read_text()
-
-
 def pids(folder: Path) -> list[int]:
     """Return the processes in a cgroup and in those below; none if it is not there."""
     pids = []
@@ -98,9 +82,6 @@ class Groups:
     # which of ``cpu``, ``cpuset`` and ``memory`` its groups limit
     controls: frozenset[str] = frozenset()
 
-    def __init__(self, files: Files | None = None) -> None:
-        self._files = files or Files()
-
     def homes(self, name: str) -> dict[str, Path]:
         """Return controller -> the folder of the group called `name`."""
         del name
@@ -119,14 +100,21 @@ class Groups:
         del homes, limits
         return ()
 
-    def make(self, name: str, limits: Limits) -> Group:
+    def make(self, name: str, limits: Limits) -> None:
         """Make a group; OSError when the kernel refuses."""
         homes = self.homes(name)
-        for folder in dict.fromkeys(homes.values()):
-            self._files.make(folder)
+        for folder in homes.values():
+            self.make_folder(folder)
         for file, value in self.settings(homes, limits):
-            self._files.write(file, value)
-        return Group(name, homes, len(limits.cpus), self._files)
+            self.write(file, value)
+
+    def make_folder(self, folder: Path) -> None:
+        """Make the folder of a group if it does not exist."""
+        folder.mkdir(exist_ok=True)
+
+    def write(self, file: Path, value: object) -> None:
+        """Write a file of a group; OSError when the kernel refuses."""
+        file.write_text(f"{value}\n")
 
 
 class Group:
@@ -135,13 +123,10 @@ class Group:
     Without cgroups they are those that inherited the group's name as a mark.
     """
 
-    def __init__(
-        self, name: str, homes: Mapping[str, Path], cpus: int, files: Files
-    ) -> None:
+    def __init__(self, name: str, homes: Mapping[str, Path], cpus: int) -> None:
         self._name = name
         self._homes = homes
         self._cpus = cpus
-        self._files = files
         folders = dict.fromkeys(homes.values())
         self._folders = tuple(folders)
         self.joins = tuple(_inner(folder) / "cgroup.procs" for folder in folders)
@@ -180,7 +165,7 @@ class Group:
     def _read(self, controller: str, name: str) -> str:
         """Return the content of a file, or "" if the kernel does not provide it."""
         try:
-            return self._files.read(self._homes[controller] / name)
+            return (self._homes[controller] / name).read_text()
         except (KeyError, OSError):  # EOPNOTSUPP where pressure is switched off
             return ""
 
@@ -207,8 +192,7 @@ class V1(Groups):
     made there too, because only there the kernel reports CPU pressure.
     """
 
-    def __init__(self, mounts: Iterable[Mount], files: Files | None = None) -> None:
-        super().__init__(files)
+    def __init__(self, mounts: Iterable[Mount]) -> None:
         self._bases: dict[str, Path] = {}
         for mount in mounts:
             wanted = mount.controllers & {"cpu", "cpuacct", "cpuset", "memory"}
@@ -221,16 +205,15 @@ class V1(Groups):
         """Return controller -> the folder of the group called `name`."""
         return {controller: base / name for controller, base in self._bases.items()}
 
-    def make(self, name: str, limits: Limits) -> Group:
+    def make(self, name: str, limits: Limits) -> None:
         """Make a group, and allow real-time threads if the kernel limits them."""
-        group = super().make(name, limits)
+        super().make(name, limits)
         file = self.homes(name).get("cpu", Path()) / "cpu.rt_runtime_us"
         if file.exists():
             period = round(_REAL_TIME_PERIOD * 1e6)
             with suppress(OSError):  # other groups use all of it
-                self._files.write(file.with_name("cpu.rt_period_us"), period)
-                self._files.write(file, round(_REAL_TIME * period))
-        return group
+                self.write(file.with_name("cpu.rt_period_us"), period)
+                self.write(file, round(_REAL_TIME * period))
 
     def settings(self, homes: Mapping[str, Path], limits: Limits) -> Settings:
         """Yield files of a group, and what they must contain."""
@@ -239,8 +222,8 @@ class V1(Groups):
             yield cpu / "cpu.cfs_quota_us", limits.quota_us or -1
             yield cpu / "cpu.shares", _SHARES
         if cpuset := homes.get("cpuset"):
-            mems = self._files.read(self._bases["cpuset"] / "cpuset.mems")
-            yield cpuset / "cpuset.mems", mems.strip()
+            mems = self._bases["cpuset"] / "cpuset.mems"
+            yield cpuset / "cpuset.mems", mems.read_text().strip()
             yield cpuset / "cpuset.cpus", limits.cpu_list
         if (memory := homes.get("memory")) and limits.memory:
             yield memory / "memory.limit_in_bytes", limits.memory
@@ -257,10 +240,9 @@ _TRIES = 5
 class V2(Groups):
     """Makes groups below the topmost folder (root), or below its own (delegated)."""
 
-    def __init__(self, mount: Mount, files: Files | None = None) -> None:
-        super().__init__(files)
+    def __init__(self, mount: Mount) -> None:
         self._base = mount.top if os.access(mount.top, os.W_OK) else mount.own
-        available = self._files.read(self._base / "cgroup.controllers").split()
+        available = (self._base / "cgroup.controllers").read_text().split()
         self.controls = frozenset(available) & {"cpu", "cpuset", "memory"}
 
     def homes(self, name: str) -> dict[str, Path]:
@@ -275,34 +257,30 @@ class V2(Groups):
     def prepare(self, name: str) -> None:
         """Enable the controllers for the future groups."""
         control = self._base / "cgroup.subtree_control"
-        missing = self.controls - set(self._files.read(control).split())
-        enable = " ".join(f"+{controller}" for controller in sorted(missing))
-        for _ in range(_TRIES) if missing else ():
+        missing = self.controls - set(control.read_text().split())
+        for tries_left in reversed(range(_TRIES + 1 if missing else 0)):
             try:
-                self._files.write(control, enable)
+                self.write(control, " ".join(f"+{name}" for name in sorted(missing)))
             except OSError as error:
-                if error.errno != errno.EBUSY:
+                if error.errno != errno.EBUSY or not tries_left:
                     raise
                 self._put_aside(*self.aside(name))
             else:
                 return
-        if missing:
-            self._files.write(control, enable)
 
     def _put_aside(self, folder: Path) -> None:
-        self._files.make(folder)
-        for pid in self._files.read(self._base / "cgroup.procs").split():
+        self.make_folder(folder)
+        for pid in (self._base / "cgroup.procs").read_text().split():
             with suppress(ProcessLookupError):
-                self._files.write(folder / "cgroup.procs", pid)
+                self.write(folder / "cgroup.procs", pid)
 
-    def make(self, name: str, limits: Limits) -> Group:
+    def make(self, name: str, limits: Limits) -> None:
         """Make a group in which an agent may make others."""
         super().make(name, limits)
         folder = self._base / name
         if "cpu" in self.controls:
-            self._files.write(folder / "cgroup.subtree_control", "+cpu")
-            self._files.make(folder / PROGRAMS)
-        return Group(name, self.homes(name), len(limits.cpus), self._files)
+            self.write(folder / "cgroup.subtree_control", "+cpu")
+            self.make_folder(folder / PROGRAMS)
 
     def settings(self, homes: Mapping[str, Path], limits: Limits) -> Settings:
         """Yield files of a group, and what they must contain."""

@@ -35,18 +35,10 @@ class Cable(Struct, frozen=True, kw_only=True):
 
 
 class Shape(Struct, frozen=True, kw_only=True):
-    """How a link is shaped.
+    """How a link is shaped."""
 
-    Parameters
-    ----------
-    bandwidth
-        [bytes/s], each way; None: no limit.
-    latency
-        One way [s].
-    """
-
-    bandwidth: float | None = None
-    latency: float = 0.0
+    bandwidth: float | None = None  # [bytes/s], each way; None: no limit
+    latency: float = 0.0  # one way [s]
 
 
 class NetworkPlan(Struct, frozen=True, kw_only=True):

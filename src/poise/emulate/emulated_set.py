@@ -369,5 +369,8 @@ def set_for(robot: Robot) -> EmulatedSet | None:
 
 def all_sets() -> list[EmulatedSet]:
     """Return all sets that processes of this user keep."""
-    layouts = registry.kept_sets()
-    return [EmulatedSet(layout, layout.kept) for layout in layouts if layout.kept]
+    return [
+        EmulatedSet(layout, kept)
+        for layout in registry.registered()
+        if (kept := layout.kept) and kept.since and layout.owner.is_alive()
+    ]

@@ -10,13 +10,12 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import IO, Self
 
-import msgspec
 from msgspec.structs import replace
 
-from poise.clock import wall_time
+from poise.clock import Clock, wall_time
 from poise.emulate import cgroups as cgroup_files
 from poise.emulate import emulated_network, processes
-from poise.emulate.cgroups import Files, Group, Groups, Probe, probe_host
+from poise.emulate.cgroups import Group, Groups, Probe, probe_host
 from poise.emulate.emulated_network import NAMESPACES, NetworkPlan
 from poise.emulate.limits import Usage, is_starved, shortages
 from poise.emulate.processes import MARK, stop
@@ -24,9 +23,9 @@ from poise.emulate.registry import (
     ComputerLayout,
     EmulationLayout,
     KeptSet,
-    addresses,
     lay_out,
     register,
+    regrouped,
     remove,
     sweep,
 )
@@ -66,7 +65,7 @@ class EmulatedComputer:
         self.limits = layout.limits
         self.promised = layout.limits.quota  # cores: with less, it was starved
         homes = {which: Path(home) for which, home in layout.homes.items()}
-        self._group = Group(layout.mark, homes, len(layout.limits.cpus), Files())
+        self._group = Group(layout.mark, homes, len(layout.limits.cpus))
         self._cpu_group = homes.get("cpu") if layout.has_quota else None
         pressure = homes.get("pressure")
         self._pressure_group = None if pressure == homes.get("cpu") else pressure
@@ -125,7 +124,7 @@ class EmulatedComputer:
         if usage.starved is None:
             return usage
         stolen = stolen_time(self.limits.cpus) - self._stolen
-        return msgspec.structs.replace(usage, starved=usage.starved + stolen)
+        return replace(usage, starved=usage.starved + stolen)
 
     def was_starved(self, before: Usage, after: Usage) -> bool:
         """Return whether the host starved it (`is_starved`)."""
@@ -186,10 +185,8 @@ class Emulation:
         try:
             groups, refused = _prepared(host.groups, self._layout.run)
             if refused:
-                host, aside = replace(host, groups=groups), self._layout.aside
-                taken = addresses(but=self._layout.run)
-                again = lay_out(robot, folder, host, number, kept, taken)
-                self._layout = replace(again, aside=aside)
+                host = replace(host, groups=groups)
+                self._layout = regrouped(self._layout, host)
             self._make(self._layout, groups, host, refused)
             if kept is not None:
                 why = "" if self._layout.network else "; ".join(host.without_network())
@@ -282,3 +279,43 @@ def _wire(plan: NetworkPlan, host: Probe) -> list[str]:
     emulated_network.shape(plan, delays=delays)
     reason = "link latency: this kernel cannot delay packets (no sch_netem)"
     return [reason] if slow and not delays else []
+
+
+WINDOW = 1.0
+"""The shortest window [s]: long against a quota's period, short against a run."""
+
+
+class StarvationWatch:
+    """Counts how long each computer was starved, window by window."""
+
+    def __init__(self, computers: Mapping[str, EmulatedComputer], clock: Clock) -> None:
+        self._computers = computers
+        self._clock = clock
+        self._starved: dict[str, float] = {}
+        self._since = clock.now()
+        self._before = self._usages()
+
+    def poll(self) -> None:
+        """Judge the window if it has ended; call it more often than every `WINDOW`."""
+        if self._clock.now() - self._since >= WINDOW:
+            self._judge()
+
+    def end(self) -> Mapping[str, float]:
+        """Judge the last window; return the starved computers, and how long [s].
+
+        The run is invalid unless the result is empty.
+        """
+        self._judge()
+        return dict(self._starved)
+
+    def _judge(self) -> None:
+        now, after = self._clock.now(), self._usages()
+        for name, computer in self._computers.items():
+            before = self._before[name]
+            if computer.was_starved(before, after[name]):
+                lasted = now - self._since
+                self._starved[name] = self._starved.get(name, 0.0) + lasted
+        self._since, self._before = now, after
+
+    def _usages(self) -> dict[str, Usage]:
+        return {name: computer.usage() for name, computer in self._computers.items()}

@@ -18,6 +18,7 @@ from typing import Literal
 
 import msgspec
 from msgspec import Struct
+from msgspec.structs import replace
 
 from poise.clock import time_of_day
 from poise.decoding import from_json
@@ -72,15 +73,6 @@ def registered() -> Iterator[EmulationLayout]:
             raise RunError(message) from error
 
 
-def kept_sets() -> list[EmulationLayout]:
-    """Return the emulations of living owners that are up and kept for others."""
-    return [
-        layout
-        for layout in registered()
-        if layout.kept and layout.kept.since and layout.owner.is_alive()
-    ]
-
-
 @contextmanager
 def locked() -> Iterator[None]:
     """Let no other process of this user change kept sets meanwhile."""
@@ -108,17 +100,12 @@ def locked() -> Iterator[None]:
 def register(lay_out: Callable[[Collection[str]], EmulationLayout]) -> EmulationLayout:
     """Lay an emulation out, and write it down, so that `sweep` can find it."""
     with locked():
-        layout = lay_out(addresses())
+        others = [computer.address for o in registered() for computer in o.computers]
+        layout = lay_out(others)
         if layout.kept is not None:
             _raise_if_kept(layout.kept.robot, layout.run)
         write(layout)
     return layout
-
-
-def addresses(but: str = "") -> list[str]:
-    """Return the IP addresses of all emulations but one of this name."""
-    others = (layout for layout in registered() if layout.run != but)
-    return [computer.address for layout in others for computer in layout.computers]
 
 
 def read(run: str) -> EmulationLayout | None:
@@ -218,28 +205,14 @@ FaultKind = Literal["cut", "slow", "crashed", "frozen", "frozen agent", "load"]
 
 
 class InjectedFault(Struct, frozen=True, kw_only=True):
-    """A fault that any process injected, in force until it is healed.
-
-    Parameters
-    ----------
-    on
-        The computer, or the two computers of a link.
-    since
-        [s since 1970].
-    shape
-        Of a slow link.
-    cpu
-        Of a load [host cores].
-    processes
-        Of a load: their numbers.
-    """
+    """A fault that any process injected, in force until it is healed."""
 
     kind: FaultKind
-    on: tuple[str, ...]
-    since: float
-    shape: Shape | None = None
-    cpu: float | None = None
-    processes: tuple[int, ...] = ()
+    on: tuple[str, ...]  # the computer, or the two computers of a link
+    since: float  # [s since 1970]
+    shape: Shape | None = None  # of a slow link
+    cpu: float | None = None  # of a load [host cores]
+    processes: tuple[int, ...] = ()  # of a load: their numbers
 
     def __str__(self) -> str:
         since = time_of_day(self.since)
@@ -329,23 +302,18 @@ def lay_out(
     loopback = _loopback(owner.pid + number, taken)
     computers = []
     for index, name in enumerate(names):
-        mark = f"{run}-{index}"
         cable = network.cables[index] if network else None
-        homes = host.groups.homes(mark)
         computers.append(
             ComputerLayout(
                 name=name,
-                mark=mark,
+                mark=f"{run}-{index}",
                 address=cable.address if cable else f"{loopback}{index}.1",
                 folder=_private(folder, name),
                 limits=limits[index],
-                homes={which: str(home) for which, home in homes.items()},
                 namespace=cable.namespace if cable else None,
-                pin="cpuset" not in host.groups.controls and "taskset" in host.tools,
-                has_quota="cpu" in host.groups.controls,
             )
         )
-    return EmulationLayout(
+    layout = EmulationLayout(
         owner=owner,
         run=run,
         computers=tuple(computers),
@@ -353,6 +321,22 @@ def lay_out(
         aside=tuple(map(str, host.groups.aside(run))),
         kept=kept,
     )
+    return regrouped(layout, host)
+
+
+def regrouped(layout: EmulationLayout, host: Probe) -> EmulationLayout:
+    """Return a layout with the groups that a host allows."""
+    controls = host.groups.controls
+    computers = tuple(
+        replace(
+            computer,
+            homes={k: str(v) for k, v in host.groups.homes(computer.mark).items()},
+            pin="cpuset" not in controls and "taskset" in host.tools,
+            has_quota="cpu" in controls,
+        )
+        for computer in layout.computers
+    )
+    return replace(layout, computers=computers)
 
 
 def _private(folder: Path, name: str) -> str:
