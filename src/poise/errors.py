@@ -18,9 +18,12 @@
 from __future__ import annotations
 
 import difflib
+import logging
 import re
-from collections.abc import Iterable, Sequence
+import time
+from collections.abc import Hashable, Iterable, Sequence
 from itertools import islice
+from math import inf
 from signal import Signals
 
 from msgspec import Struct
@@ -207,3 +210,30 @@ def said(error: object) -> str:
         return encodable(str(error))
     except Exception:  # noqa: BLE001, a user's class may raise anything
         return f"<str() of a {type(error).__qualname__} failed>"
+
+
+AGAIN = 10.0
+"""What is like something that was logged is logged again after this time [s]."""
+
+
+class Sparing:
+    """Logs what may come a thousand times a second, one in `AGAIN` of those alike."""
+
+    def __init__(self, log: logging.Logger) -> None:
+        self._log = log
+        self._logged: dict[Hashable, tuple[float, int]] = {}
+
+    def warn(self, like: Hashable, text: str, *args: object) -> None:
+        """Log a warning, unless one that is like it was logged lately."""
+        more = self.more(like, time.monotonic())
+        if more is not None:
+            self._log.warning("%s%s", text % args, more)
+
+    def more(self, like: Hashable, now: float) -> str | None:
+        """Return how many came since the last logged one, in words; None: not now."""
+        at, since = self._logged.get(like, (-inf, 0))
+        if now - at < AGAIN:
+            self._logged[like] = at, since + 1
+            return None
+        self._logged[like] = now, 0
+        return f" ({since} more like it since the last)" if since else ""

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import math
 import socket
 import threading
 from collections import deque
@@ -25,6 +24,7 @@ from poise import threads
 from poise.clock import Clock
 from poise.decoding import msgpack_decoder
 from poise.endpoint import Endpoint
+from poise.errors import Sparing
 from poise.priority import go_first
 from poise.wire.address import family_of
 from poise.wire.codec import MALFORMED
@@ -243,7 +243,6 @@ _LARGEST = 16384
 _JOIN_LIMIT = 1.0
 _READING = 0.02
 """What waits is read for this time at most [s]: far more than the kernel holds."""
-_WARN_EVERY = 10.0
 Address = tuple[str, int]
 
 
@@ -299,7 +298,7 @@ class UdpDatagrams:
                 self._socket.close()
                 raise
         self._decode = msgpack_decoder(Heartbeat).decode
-        self._warn_at = -math.inf
+        self._sparing = Sparing(log)
 
     def receive(self, until: float) -> Sequence[Received]:
         """Return what has come, as far as it can be read in `_READING`."""
@@ -352,11 +351,8 @@ class UdpDatagrams:
             what = "is not signed with this robot's keys"
         except MALFORMED:
             what = "is not of this version"
-        now = self._clock.now()
-        if now >= self._warn_at:
-            self._warn_at = now + _WARN_EVERY
-            sender = source.removeprefix(MAPPED)
-            log.warning("a heartbeat from %s %s: ignored", sender, what)
+        sender = source.removeprefix(MAPPED)
+        self._sparing.warn("ignored", "a heartbeat from %s %s: ignored", sender, what)
         return None
 
 

@@ -10,9 +10,8 @@ from pathlib import Path
 import pytest
 
 import poise
-from poise.errors import CalleeError, RobotError
+from poise.errors import AGAIN, CalleeError, RobotError
 from poise.runtime.component.error_report import (
-    AGAIN,
     MOST_DISTINCT,
     Errors,
     brief_traceback,

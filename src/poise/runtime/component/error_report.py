@@ -5,7 +5,6 @@ from __future__ import annotations
 import concurrent.futures
 import importlib
 import logging
-import math
 from collections.abc import Hashable
 from pathlib import Path
 from traceback import (
@@ -19,7 +18,7 @@ from msgspec.structs import replace
 
 import poise
 from poise.clock import wall_time
-from poise.errors import PoiseError, encodable
+from poise.errors import PoiseError, Sparing, encodable
 from poise.wire.codec import WireError, codec
 from poise.wire.records.status_records import (
     ComponentStatus,
@@ -41,24 +40,6 @@ _OURS = (
 
 MOST_DISTINCT = 20
 """The most lines whose errors are counted apart; others count with the last one."""
-AGAIN = 10.0
-"""What is like something that was logged is logged again after this time [s]."""
-
-
-class Sparing:
-    """Says when to log what may come a thousand times a second, for one reason."""
-
-    def __init__(self) -> None:
-        self._logged: dict[Hashable, tuple[float, int]] = {}
-
-    def more(self, like: Hashable, now: float) -> str | None:
-        """Return how many came since the last logged one, in words; None: not now."""
-        at, since = self._logged.get(like, (-math.inf, 0))
-        if now - at < AGAIN:
-            self._logged[like] = at, since + 1
-            return None
-        self._logged[like] = now, 0
-        return f" ({since} more like it since the last)" if since else ""
 
 
 class Errors:
@@ -69,7 +50,7 @@ class Errors:
         self.count = 0
         self.last = ""
         self._distinct: dict[Hashable, ErrorCount] = {}
-        self._sparing = Sparing()
+        self._sparing = Sparing(self._log)
 
     def note(self, where: str, error: BaseException, now: float) -> None:
         """Count an error that a method or hook raised at `now` [s]."""

@@ -10,9 +10,15 @@ from typing import Any, NoReturn
 
 from msgspec import Struct
 
-from poise.errors import CalleeError, CallError, CannotCross, Timeout, Unavailable
+from poise.errors import (
+    CalleeError,
+    CallError,
+    CannotCross,
+    Sparing,
+    Timeout,
+    Unavailable,
+)
 from poise.runtime._calls import ServedCall, call_remote, time_left
-from poise.runtime.component.error_report import Sparing
 from poise.runtime.component.ports import Port
 from poise.runtime.connectors.endpoints import ComponentEndpoints
 from poise.runtime.connectors.flow_control import Credit, CreditIssuer
@@ -217,7 +223,9 @@ class ReceivingEnd(Struct, frozen=True, kw_only=True):
         """Return the handler of the frames that come in."""
         spec, target, port, feed = self.spec, self.target, self.port, self.feed
         clock, issuer, counts = self.remote_clock, self.issuer, feed.counts
-        connector, coders, tell = spec.name, _coders(port), _reporter(spec.name)
+        connector, coders = spec.name, _coders(port)
+        text = "connector %s: refused: %s"
+        tell = partial(Sparing(log).warn, "refused", text, connector)
         serve = self._serving(tell)
         read = partial(stamped_value, spec, clock) if spec.carries else Frame.value
         take_numbered = _taking_numbered(connector, target, port, feed, read)
@@ -248,7 +256,9 @@ class ReceivingEnd(Struct, frozen=True, kw_only=True):
 
         return handle
 
-    def _serving(self, tell: Callable[[WireError], None]) -> Callable[[Frame], Pieces]:
+    def _serving(
+        self, tell: Callable[[WireError], object]
+    ) -> Callable[[Frame], Pieces]:
         """Return a function that answers calls."""
         port, clock, counts = self.port, self.remote_clock, self.feed.counts
         answers = {
@@ -326,18 +336,6 @@ def _taking_numbered(
         take(heard, connector, read(received, coder), put)
 
     return take_numbered
-
-
-def _reporter(connector: str) -> Callable[[WireError], None]:
-    """Return a function that logs refusals, not more often than is useful."""
-    sparing = Sparing()
-
-    def tell(error: WireError) -> None:
-        more = sparing.more("refused", time.monotonic())
-        if more is not None:
-            log.warning("connector %s: refused%s: %s", connector, more, error)
-
-    return tell
 
 
 def entry_codec(port: Port, tag: int) -> Codec[Any]:

@@ -17,8 +17,7 @@ from math import nan
 from typing import Any
 
 from poise import threads
-from poise.errors import CallError, RunError, Timeout, Unavailable
-from poise.runtime.component.error_report import Sparing
+from poise.errors import CallError, RunError, Sparing, Timeout, Unavailable
 from poise.runtime.component.ports import Port
 from poise.runtime.connectors.interface import (
     Method,
@@ -69,7 +68,7 @@ class Sender:
         self._latest = latest
         self.port = port
         self.counts = Counts()
-        self._sparing = Sparing()
+        self._sparing = Sparing(log)
         self._limit = limit
         self._methods = tuple(methods(port.type).values()) if proxy else ()
         self._proxy = proxy
@@ -339,10 +338,8 @@ class Sender:
 
     def _note_no_room(self) -> None:
         self.counts.drops += 1
-        more = self._sparing.more("dropped", time.monotonic())
-        if more is not None:
-            text = "connector %s: no room for %g s, a message is dropped%s"
-            log.warning(text, self.name, self._limit, more)
+        text = "connector %s: no room for %g s, a message is dropped"
+        self._sparing.warn("dropped", text, self.name, self._limit)
 
     def _hold(self, buffer: deque[Waiting], waiting: Waiting) -> None:
         """Buffer a message, in place of the oldest where only the newest are kept."""

@@ -25,6 +25,7 @@ from poise import threads
 from poise.errors import (
     PoiseError,
     RunError,
+    Sparing,
     Timeout,
     Unavailable,
     UsageError,
@@ -33,7 +34,7 @@ from poise.errors import (
     listed,
 )
 from poise.priority import as_usual, go_first
-from poise.runtime.component.error_report import Sparing, sendable, traceback_of
+from poise.runtime.component.error_report import sendable, traceback_of
 from poise.runtime.component.implementation import search_also
 from poise.runtime.connectors.endpoints import ObservedPort
 from poise.runtime.connectors.sender import Sender
@@ -126,7 +127,7 @@ class Container:
         self._step_threads = ThreadPoolExecutor(_STEP_THREADS, "step", go_first)
         self._outside = OutsideRequests(self._active, self._answer)
         self._paused: dict[Runner, float] = {}
-        self._sparing = Sparing()
+        self._sparing = Sparing(log)
         self._news_waits_until = 0.0
         self._stopping = False
         self._thread_failures = threads.Failures(f"container '{name}'")
@@ -262,9 +263,7 @@ class Container:
             try:
                 self._link.send(status)
             except WireError as error:
-                more = self._sparing.more("status", self._clock.now())
-                if more is not None:
-                    log.error("the status lacks texts%s: %s", more, error)  # noqa: TRY400
+                self._sparing.warn("status", "the status lacks texts: %s", error)
                 self._link.send(sendable(status))
 
     def _hear(self, what: ToContainer) -> None:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 from msgspec import Struct
 
 from poise import threads
-from poise.errors import Timeout, Unavailable
+from poise.errors import Sparing, Timeout, Unavailable
 from poise.wire import frame
 from poise.wire.address import gateway_path, keep_private, socket_path
 from poise.wire.codec import Unreadable, WireError
@@ -25,7 +25,6 @@ from poise.wire.connections import connection
 from poise.wire.connections.connection import LAST_ANSWER, Connection
 from poise.wire.connections.opening import (
     ANSWER_LIMIT,
-    EVERY,
     MESSAGES,
     NAME,
     NOT_HERE,
@@ -87,7 +86,7 @@ class ConnectionServer:
         self._lock = threading.Lock()
         self.folder = folder
         self._container = container
-        self._warn_at = 0.0
+        self._sparing = Sparing(log)
         self._closed = threading.Event()
         self.on_change: Callable[[], object] = lambda: None
         """Called when a connection for messages begins or ends; must not block."""
@@ -194,14 +193,11 @@ class ConnectionServer:
             self.on_change()
 
     def _secure(self, connection: Connection, keys: Credentials) -> None:
-        now = time.monotonic()
         try:
-            connection.accept_tls(keys, now + ANSWER_LIMIT)
+            connection.accept_tls(keys, time.monotonic() + ANSWER_LIMIT)
         except (Unavailable, Timeout) as error:
-            if now >= self._warn_at:
-                self._warn_at = now + EVERY
-                text = "container '%s': another computer is refused: %s"
-                log.warning(text, self._container, error)
+            text = "container '%s': another computer is refused: %s"
+            self._sparing.warn("refused", text, self._container, error)
             raise
 
     def _greet(self, served: _ServedConnection) -> None:

@@ -16,12 +16,12 @@ from typing import Self
 
 from poise import threads
 from poise.endpoint import Endpoint
-from poise.errors import CallError, RunError
+from poise.errors import CallError, RunError, Sparing
 from poise.wire import frame
 from poise.wire.address import connect, family_of, gateway_path, tune
 from poise.wire.codec import WireError
 from poise.wire.connections.connection import Connection
-from poise.wire.connections.opening import ANSWER_LIMIT, EVERY, NAME, AcceptWarning
+from poise.wire.connections.opening import ANSWER_LIMIT, NAME, AcceptWarning
 from poise.wire.frame import FrameKind
 
 log = logging.getLogger(__name__)
@@ -43,8 +43,7 @@ class Gateway:
         self._folder = folder
         self._closed = threading.Event()
         self._room = threading.Semaphore(MOST)
-        self._warn_at = 0.0
-        self._num_refused = 0  # since the last one that was logged
+        self._sparing = Sparing(log)
         self.warning = AcceptWarning("the gateway")
         try:
             self._listener = socket.create_server(
@@ -110,22 +109,13 @@ class Gateway:
                     why = self._hand_on(connection, _named(connection))
                 except WireError as error:
                     why = str(error)
-                    self._warn(connection.getpeername()[0], why)
+                    text = "a connection from %s is refused: %s"
+                    peer = connection.getpeername()[0]
+                    self._sparing.warn("refused", text, peer, why)
                 if why:
                     _refuse(connection, why)
         finally:
             self._room.release()
-
-    def _warn(self, peer: str, why: str) -> None:
-        """Say that a connection is refused; of many, one now and then."""
-        now = time.monotonic()
-        if now < self._warn_at:
-            self._num_refused += 1
-            return
-        self._warn_at, more = now + EVERY, self._num_refused
-        self._num_refused = 0
-        said = f" ({more} others since the last)" if more else ""
-        log.warning("a connection from %s is refused%s: %s", peer, said, why)
 
     def _hand_on(self, connection: socket.socket, container: str) -> str:
         """Return why the container does not get a connection; empty: it does."""

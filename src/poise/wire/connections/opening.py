@@ -14,7 +14,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from poise.errors import Unavailable
+from poise.errors import Sparing, Unavailable
 from poise.wire import frame
 from poise.wire.address import KEYS, LOST_AFTER, Address, family_of, socket_path, tune
 from poise.wire.codec import WireError, codec
@@ -189,8 +189,6 @@ def _raise_if(error: int) -> None:
 
 log = logging.getLogger(__name__)
 
-EVERY = 10.0
-"""At most one warning in this time [s]."""
 _LATELY = 2.0
 """A failure counts for this time [s]: status is asked for more often."""
 _PASSING = {errno.EAGAIN, errno.ECONNABORTED, errno.EINTR}
@@ -201,7 +199,7 @@ class AcceptWarning:
 
     def __init__(self, who: str) -> None:
         self._who = who
-        self._again_at = 0.0
+        self._sparing = Sparing(log)
         self._last = ""
         self._last_at = float("-inf")
 
@@ -210,9 +208,7 @@ class AcceptWarning:
         if isinstance(error, OSError) and error.errno in _PASSING:
             return
         self._last_at, self._last = time.monotonic(), self._sentence(error)
-        if self._last_at >= self._again_at:
-            self._again_at = self._last_at + EVERY
-            log.warning("%s", self._last)
+        self._sparing.warn("refused", "%s", self._last)
 
     def trouble(self) -> str:
         """Return why no connection can be accepted now; empty: they can."""
