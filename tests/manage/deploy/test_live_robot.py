@@ -371,7 +371,7 @@ def test_what_begins_after_a_take_over_has_an_epoch_that_nothing_had(
         status = agents.statuses()[name]
         agents.report(structs.replace(status, generation=generation))
     run, _ = run_of(robot, agents)
-    run.adopt({}, {"grabber": 2}, Desired(tasks=b"t"), frozenset(), {}, {})
+    run.adopt(Desired(tasks=b"t"), {"grabber": 2})
     assert (run.next_epoch("thinker"), run.next_epoch("grabber")) == (10, 3)
     assert (run.desired.generation, run.desired.tasks) == (10, b"t")
 

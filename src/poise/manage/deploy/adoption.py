@@ -339,24 +339,7 @@ def components_to_hold(
     )
 
 
-def where_held(
-    robot: Robot,
-    starts: Mapping[str, str],
-    held: Collection[str],
-    claimed: Collection[str],
-) -> dict[str, str]:
-    """Return component -> computer of what starts.
-
-    What is held counts as placed on a computer that is not claimed.
-    """
-    allowed = allowed_computers(robot)
-    return {
-        name: min(set(allowed[name]) - set(claimed)) if name in held else at
-        for name, at in starts.items()
-    }
-
-
-def _providers(robot: Robot, components: Container[str]) -> dict[str, str]:
+def providers(robot: Robot, components: Container[str]) -> dict[str, str]:
     """Return function -> the architecture of it that has one of some components."""
     return {
         architecture.function: architecture.name
@@ -387,7 +370,7 @@ def joined_by(
     placed, held = dict(desired.placed), set(desired.held)
     parameters = dict(desired.parameters)
     coming = {incarnation.component for incarnation in desired.coming}
-    provider = {**_providers(robot, coming), **_providers(robot, placed)}
+    provider = {**providers(robot, coming), **providers(robot, placed)}
     homes = {c.name: a for a in robot.architectures for c in a.components}
     allowed = allowed_computers(robot)
     for reported in sorted(found, key=lambda f: f.spec.epoch):

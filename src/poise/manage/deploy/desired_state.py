@@ -11,7 +11,6 @@ import secrets
 import threading
 from collections.abc import Iterable, Iterator, Mapping
 from functools import partial
-from typing import Any
 
 from msgspec import structs
 from msgspec.msgpack import encode
@@ -146,15 +145,7 @@ class DesiredState:
         """Let what is placed go on, without any change under way: that broke."""
         self.commit(self.desired.released(), why)
 
-    def adopt(
-        self,
-        kept: Mapping[str, Incarnation],
-        last_epochs: Mapping[str, int],
-        record: Desired,
-        held: frozenset[str],
-        parameters: Mapping[str, Mapping[str, Any]],
-        other_code: Mapping[str, OtherCode],
-    ) -> None:
+    def adopt(self, desired: Desired, last_epochs: Mapping[str, int]) -> None:
         """Go on with what an earlier manager left, in place of what was planned."""
         self._epochs = dict(last_epochs)
         # that of one on a computer that is out of reach is not known, and lower
@@ -162,16 +153,7 @@ class DesiredState:
         self._last_epoch = max((s.generation for s in statuses), default=0)
         # a record of its own also when it is just what was planned: agents refuse one
         # that is older than what they were told last
-        desired = Desired(
-            placed=dict(kept),
-            tasks=record.tasks,
-            held=held,
-            parameters=parameters,
-            other_code=other_code,
-            ended={**record.ended, **last_epochs},
-            left_behind=record.left_behind,
-            generation=self._last_epoch,
-        )
+        desired = structs.replace(desired, generation=self._last_epoch)
         self.commit(desired, "taking the robot over")
 
     def note_lost_state(self, component: str, computer: str, what: str) -> None:
@@ -180,6 +162,12 @@ class DesiredState:
         self.lost_states[component] = Deviation(
             what=what, computer=computer, component=component, since=wall_time()
         )
+
+    def why_no_checkpoint(self, component: str) -> str:
+        """Return why a component that loses its state has no checkpoint, for people."""
+        if self.robot.component(component).checkpoint:
+            return "this manager has no copy of its checkpoint"
+        return "it has no `checkpoint` in the robot file"
 
     def note_checkpoint(self, computer: str, copy: CheckpointCopy, why: str) -> None:
         """Journal from which state a component goes on, or why it has none."""

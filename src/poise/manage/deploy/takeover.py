@@ -21,7 +21,7 @@ from poise.manage.deploy.adoption import (
     components_to_hold,
     found_in,
     is_half_done,
-    where_held,
+    providers,
 )
 from poise.manage.deploy.desired import Desired
 from poise.manage.deploy.live_robot import (
@@ -58,6 +58,7 @@ def start_or_take_over(
     is. `follows`: a standby has no plan of its own, and goes on with the robot as it
     was.
     """
+    everyone = {computer.name for computer in live.robot.computers}
     statuses = live.agents.statuses()
     before = [status.manager for status in statuses.values()]
     if live.agents.election is None:
@@ -77,8 +78,7 @@ def start_or_take_over(
         raise RunError("the robot was stopped")
     was_idle = record.generation > 0 and follows
     if not reported and not was_idle:
-        away = {computer.name for computer in live.robot.computers} - live.claimed
-        if away:
+        if away := everyone - live.claimed:
             live.leave()  # their components may be another manager's
             names = ", ".join(f"'{name}'" for name in sorted(away - unclaimed.keys()))
             lost = f"nothing runs yet, and no agent answers on {names}: start it there"
@@ -93,7 +93,6 @@ def start_or_take_over(
     if by_force or live.agents.election is not None:
         # a person says that nobody else runs anything on the others, or a majority
         # does; not on one that was there, and did not let itself be claimed
-        everyone = {computer.name for computer in live.robot.computers}
         if live.agents.election is None:
             away = everyone - live.claimed - unclaimed.keys()
             unclaimed |= _at_work_elsewhere(live, away)
@@ -149,18 +148,25 @@ def _take_over(
         keeps=not is_rule,
     )
     _note(live, adoption)
-    starts = where_held(live.robot, adoption.starts, held, live.claimed)
+    allowed = allowed_computers(live.robot)
+    starts = {  # what is held counts as placed on a computer that is not claimed
+        name: min(allowed[name] - live.claimed) if name in held else computer
+        for name, computer in adoption.starts.items()
+    }
     kept = {each.key for each in adoption.kept.values()}
     ends = (r.incarnation for r in reported if r.goal == "active" and r.key not in kept)
-    record = structs.replace(record, left_behind=(*record.left_behind, *ends))
-    live.adopt(
-        adoption.kept,
-        _last_epochs(reported),
-        record,
-        held,
-        {**changed_parameters(reported), **record.parameters},
-        {n: c for n, c in record.other_code.items() if n not in adoption.restarts},
+    other = {n: c for n, c in record.other_code.items() if n not in adoption.restarts}
+    last = {r.name: r.spec.epoch for r in sorted(reported, key=lambda r: r.spec.epoch)}
+    desired = Desired(
+        placed=adoption.kept,
+        tasks=record.tasks,
+        held=held,
+        parameters={**changed_parameters(reported), **record.parameters},
+        other_code=other,
+        ended={**record.ended, **last},
+        left_behind=(*record.left_behind, *ends),
     )
+    live.adopt(desired, last)
     for sentence in (*unclaimed.values(), *live.unreached().values()):
         live.journal.note("wrong", sentence)
     seconds = time.monotonic() - began
@@ -221,16 +227,10 @@ def _elected(
     away = {computer.name for computer in live.robot.computers} - answers.keys()
     found = {n: answer.deployment for n, answer in answers.items() if answer.deployment}
     record = newest_record(found.values())
-    if away and record.incarnations():
-        until = live.clock.now() + LEASES_END_WITHIN
-        while not live.agents.heartbeats.have_leases_ended(away):
-            if live.clock.now() >= until:
-                live.leave()
-                names = ", ".join(f"'{name}'" for name in sorted(away))
-                raise RunError(
-                    f"the leases of components on {names} may not have ended"
-                )
-            live.clock.sleep(_LOOK_EVERY)
+    if away and record.incarnations() and _may_hold_leases(live, away):
+        live.leave()
+        names = ", ".join(f"'{name}'" for name in sorted(away))
+        raise RunError(f"the leases of components on {names} may not have ended")
     known = {each.key for each in record.incarnations()}
     return {name: _with_only(known, each) for name, each in found.items()}
 
@@ -240,21 +240,28 @@ def _way_out_of(error: RunError) -> str:
     return f"; {_TAKE_OVER}" if isinstance(error, AlreadyManaged) else ""
 
 
-def _at_work_elsewhere(live: LiveRobot, away: Collection[str]) -> dict[str, str]:
-    """Return computers that are out of reach, and that others hear, and why."""
-    heartbeats, left = live.agents.heartbeats, set(away)
-    if not live.agents.is_leased:  # nothing cuts them off
-        return {}
-    until = live.clock.now() + LEASES_END_WITHIN
-    while left := {n for n in left if not heartbeats.have_leases_ended({n})}:
+def _may_hold_leases(live: LiveRobot, away: Collection[str]) -> list[str]:
+    """Wait until the leases of computers have ended; return those that may have one."""
+    left, until = sorted(away), live.clock.now() + LEASES_END_WITHIN
+    while left := [
+        n for n in left if not live.agents.heartbeats.have_leases_ended({n})
+    ]:
         if live.clock.now() >= until:
             break
         live.clock.sleep(_LOOK_EVERY)
+    return left
+
+
+def _at_work_elsewhere(live: LiveRobot, away: Collection[str]) -> dict[str, str]:
+    """Return computers that are out of reach, and that others hear, and why."""
+    if not live.agents.is_leased:  # nothing cuts them off
+        return {}
+    heard_by = live.agents.heartbeats.heard_by
     return {
         name: f"computer '{name}' is out of reach, but "
-        f"{repr(other) if (other := heartbeats.heard_by(name)) else 'another one'} "
-        "hears it: what may run there starts nowhere else until it is reached"
-        for name in sorted(left)
+        f"{repr(other) if (other := heard_by(name)) else 'another one'} hears it: what "
+        "may run there starts nowhere else until it is reached"
+        for name in _may_hold_leases(live, away)
     }
 
 
@@ -304,11 +311,7 @@ def _at_work(
     away = {c.name for c in live.robot.computers} - live.claimed
     works = {e.name: e.computer for e in reported if e.goal != "inactive"}
     ran = {*works, *record.placed, *record.prefetched, *record.ended}
-    served = {
-        architecture.function
-        for architecture in live.robot.architectures
-        if not works.keys().isdisjoint(c.name for c in architecture.components)
-    }
+    served = providers(live.robot, works)
     homes: dict[str, tuple[str, ...]] = {}
     for architecture in live.robot.architectures:
         names = [component.name for component in architecture.components]
@@ -454,13 +457,6 @@ def _end_containers(
         )
 
 
-def _last_epochs(found: Sequence[ReportedIncarnation]) -> dict[str, int]:
-    epochs: dict[str, int] = {}
-    for reported in found:
-        epochs[reported.name] = max(reported.spec.epoch, epochs.get(reported.name, 0))
-    return epochs
-
-
 def _note(live: LiveRobot, adoption: Adoption) -> None:
     for sentence in adoption.half_done:
         live.journal.note("decided", sentence)
@@ -485,9 +481,7 @@ def _start(
     # it counts as there, though nobody said so
     live.doubted |= {each.key for each in starts if each.component in live.desired.held}
     # what is out of reach starts elsewhere, if it may, or once it is reached
-    new = [
-        incarnation for incarnation in starts if incarnation.computer in live.claimed
-    ]
+    new = [each for each in starts if each.computer in live.claimed]
     if not starts:
         return
     try:
@@ -515,22 +509,17 @@ def _claim(
     """
     deployments: dict[str, Deployment] = {}
     unclaimed: dict[str, str] = {}
-    first = RunError()
-    computers = sorted(live.computers())
-    for computer in computers:
+    for number, computer in enumerate(sorted(live.computers())):
         try:
             deployments |= live.agents.claim({computer}, take_over=by_force)
         except RunError as error:
+            if number == 0 and computer in live.computers():
+                live.leave()  # another manager has the robot
+                hint = "" if by_force else _way_out_of(error)
+                raise type(error)(f"{error}{hint}") from None
             unclaimed[computer] = str(error)
-            if computer == computers[0] and computer in live.computers():
-                first = error
-                break  # another manager has the robot
         else:
             live.claimed.add(computer)
-    if computers and computers[0] in unclaimed and not deployments:
-        live.leave()
-        hint = "" if by_force else _way_out_of(first)
-        raise type(first)(f"{unclaimed[computers[0]]}{hint}")
     return deployments, unclaimed
 
 
