@@ -350,6 +350,26 @@ def test_a_message_that_is_processed_twice_is_a_violation(engine: Engine) -> Non
     ]
 
 
+def test_what_waits_for_a_component_may_be_older_than_what_its_alternative_took(
+    engine: Engine,
+) -> None:
+    one, other, new = (container(engine) for _ in range(3))
+    publisher(engine, one)
+    sender, _ = joined(engine, one, other, ("source", "target"))
+    frozen = worker(other, "target", model(engine))
+    frozen.pause()
+    engine.run(0.35)
+    alternative = worker(new, "alternative", model(engine), epoch=1)
+    _, connector = joined(engine, one, new, ("source", "alternative"), epochs=(0, 1))
+    sender.redirect(connector)
+    engine.run(0.55)
+    frozen.resume()
+    frozen.work()
+    engine.run(0.59)
+    assert (frozen.done, alternative.done) == (3, 2)
+    assert engine.ledger.violations == []
+
+
 def test_the_end_of_a_turn_and_missed_deadlines_are_told_when_asked_for(
     engine: Engine,
 ) -> None:

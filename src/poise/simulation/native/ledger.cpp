@@ -64,12 +64,23 @@ void Ledger::act(const Incarnation& who, double now) {
 
 void Ledger::process(Slot& slot, std::uint64_t number, const Incarnation& who) {
   ++processed;
-  if (number <= slot.last)
+  const Slot::Run* before = nullptr;  // what the same component processed last
+  bool is_repeated = false;
+  for (const Slot::Run& run : slot.runs) {
+    if (run.reader == &who.life) before = &run;
+    is_repeated |= run.first <= number && number <= run.last;
+  }
+  if (is_repeated || (before && number < before->first))
     violate("each-message-once-in-order", text(who) + " processed message " +
                                               std::to_string(number) + " of '" + slot.name +
                                               "' after " + std::to_string(slot.last));
+  if (before && before == &slot.runs.back())
+    slot.runs.back().last = number;
+  else
+    slot.runs.push_back({&who.life, number, number});
+  if (number <= slot.last) return;  // an alternative has processed later ones
   const std::uint64_t missing = number - slot.last - 1;
-  if (is_whole && slot.last && number > slot.last && missing > slot.dropped)
+  if (is_whole && slot.last && missing > slot.dropped)
     violate("nothing-is-lost", text(who) + " processed message " + std::to_string(number) + " of '" +
                                    slot.name + "' after " + std::to_string(slot.last) +
                                    ", and nothing was broken");

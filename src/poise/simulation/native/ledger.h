@@ -33,8 +33,15 @@ struct Incarnation {
 // What a component sends over, whichever target it leads to: messages sent, the last that
 // was processed, and those since then that were dropped.
 struct Slot {
+  // The messages from `first` to `last` that one component has processed.
+  struct Run {
+    const Life* reader;
+    std::uint64_t first, last;
+  };
+
   std::string name;
   std::uint64_t sent = 0, last = 0, dropped = 0;
+  std::vector<Run> runs = {};  // a new one wherever another component goes on
 };
 
 class Ledger {
