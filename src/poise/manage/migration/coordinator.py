@@ -14,7 +14,7 @@ import contextlib
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
-from msgspec import Struct, structs
+from msgspec import structs
 
 from poise.errors import RunError, TakenOver
 from poise.manage.agent_connections.statuses import (
@@ -165,9 +165,8 @@ class Migration:
                 raise RunError(
                     f"component '{source.component}' was changed meanwhile: it {now}"
                 )
-        raise_on_cut_state(live, self._sources, self._targets)
-        lossy = lossy_connectors(live, self._sources, self._others)
-        self._dropped = {name: connector.why for name, connector in lossy.items()}
+        self._raise_on_cut_state()
+        lossy = self._lossy_connectors()
         return MigrationRounds(
             live.layout,
             self._sources,
@@ -175,9 +174,35 @@ class Migration:
             self._others,
             calling_ports(live.agents.statuses()),
             live.gateways(),
-            lossy={name: connector.keep for name, connector in lossy.items()},
+            lossy=lossy,
             away=self._away,
         )
+
+    def _raise_on_cut_state(self) -> None:
+        """Raise RunError when a state would have to cross a link that is cut."""
+        cut = cut_links(self._live.agents.statuses())
+        to = {target.component: target.computer for target in self._targets}
+        for source in self._sources:
+            name, here = source.component, source.computer
+            between = sorted({here, to.get(name, here)})
+            if frozenset(between) in cut:
+                raise RunError(
+                    f"link '{'-'.join(between)}' is cut: the state of component "
+                    f"'{name}' cannot cross it"
+                )
+
+    def _lossy_connectors(self) -> dict[str, int]:
+        """Return connectors that cannot be drained, and what their subscribers keep."""
+        moving = {source.component: source for source in self._sources}
+        lossy = {}
+        for connector, why, keep in _not_drained(self._live, self._others | moving):
+            if moving.keys().isdisjoint(end.component for end in connector.between):
+                continue
+            if keep is None:
+                raise RunError(f"connector '{connector}' cannot be drained: {why}")
+            lossy[str(connector)] = keep
+            self._dropped[str(connector)] = why
+        return lossy
 
     def _prepare(self, rounds: MigrationRounds) -> None:
         desired = self._live.desired.aiming("stay", self._names).with_coming(
@@ -379,43 +404,6 @@ def _left(deadline: float) -> float:
     if left <= 0:
         raise RunError(f"the downtime reached {DOWNTIME_LIMIT:g} s")
     return left
-
-
-def raise_on_cut_state(
-    live: LiveRobot, sources: Iterable[Incarnation], targets: Iterable[Incarnation]
-) -> None:
-    """Raise RunError when a state would have to cross a link that is cut."""
-    cut = cut_links(live.agents.statuses())
-    to = {incarnation.component: incarnation.computer for incarnation in targets}
-    for source in sources:
-        between = sorted({source.computer, to.get(source.component, source.computer)})
-        if frozenset(between) in cut:
-            raise RunError(
-                f"link '{'-'.join(between)}' is cut: the state of component "
-                f"'{source.component}' cannot cross it"
-            )
-
-
-class LossyConnector(Struct, frozen=True):
-    """A connector whose ends do not reach each other."""
-
-    why: str  # in words
-    keep: int  # how many messages its subscriber keeps
-
-
-def lossy_connectors(
-    live: LiveRobot, sources: Iterable[Incarnation], others: Mapping[str, Incarnation]
-) -> dict[str, LossyConnector]:
-    """Return connectors of components that migrate which cannot be drained now."""
-    moving = {incarnation.component: incarnation for incarnation in sources}
-    lossy = {}
-    for connector, why, keep in _not_drained(live, {**others, **moving}):
-        if moving.keys().isdisjoint(end.component for end in connector.between):
-            continue
-        if keep is None:
-            raise RunError(f"connector '{connector}' cannot be drained: {why}")
-        lossy[str(connector)] = LossyConnector(why, keep)
-    return lossy
 
 
 def stuck_components(live: LiveRobot) -> set[str]:

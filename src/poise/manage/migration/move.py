@@ -19,7 +19,11 @@ from msgspec import structs
 from poise import plan
 from poise.errors import RunError, UsageError
 from poise.manage.agent_connections.reports import nothing
-from poise.manage.agent_connections.statuses import calling_ports, components_of
+from poise.manage.agent_connections.statuses import (
+    calling_ports,
+    components_of,
+    located,
+)
 from poise.manage.deploy.desired import Incarnation
 from poise.manage.deploy.live_robot import ACTIVE_LIMIT, READY_LIMIT, LiveRobot
 from poise.manage.migration.coordinator import Migration
@@ -40,17 +44,19 @@ def plan_move(
     `force`: as of `check_target`.
     """
     old = check_target(live, component, computer, force=force)
-    new = Incarnation(
-        component=component,
-        computer=computer,
-        epoch=live.next_epoch(component),
+    return _pending(live, old, structs.replace(_next(live, old), computer=computer))
+
+
+def _next(live: LiveRobot, old: Incarnation) -> Incarnation:
+    """Return what takes the place of an incarnation, and goes on from its state."""
+    return structs.replace(
+        old,
+        epoch=live.next_epoch(old.component),
         goal="inactive",
-        implementation=old.implementation,
-        code=old.code,
+        adapt="",
+        fresh=False,
         gently=True,
-        actions=old.actions,
     )
-    return _pending(live, old, new)
 
 
 def _placed(live: LiveRobot, component: str) -> Incarnation:
@@ -113,14 +119,11 @@ def plan_replacement(
     if not (at or old.code):
         _check_not_edited(live, old, implementation)
     new = structs.replace(
-        old,
-        epoch=live.next_epoch(component),
-        goal="inactive",
+        _next(live, old),
         implementation=implementation,
         code=_code(live, old.computer, version) if at else old.code,
         adapt=adapt,
         fresh=fresh,
-        gently=True,
     )
     return _pending(live, old, new, by)
 
@@ -141,14 +144,7 @@ def plan_return(live: LiveRobot, before: Incarnation) -> PendingMigration:
     """Return the swap of a component's code for that of an earlier incarnation."""
     old = _placed(live, before.component)
     new = structs.replace(
-        old,
-        epoch=live.next_epoch(before.component),
-        goal="inactive",
-        implementation=before.implementation,
-        code=before.code,
-        adapt="",
-        fresh=False,
-        gently=True,
+        _next(live, old), implementation=before.implementation, code=before.code
     )
     entry = live.robot.component(before.component)
     code = (before.code or live.robot.deployed)[:SHOWN]
@@ -192,20 +188,26 @@ def _pending(
             f"component '{old.component}' has failed, and --adapt maps the state of "
             "one that works: without it, the new code begins from the last checkpoint"
         )
-    if has_failed:
-        return PendingMigration(
-            live, report, (), (), lambda: _restart_failed(live, report, old, new)
-        )
     if report.cold:
+        restart = _restart_failed if has_failed else _move_cold
         return PendingMigration(
-            live, report, (), (), lambda: _move_cold(live, report, old, new)
+            live, report, (), (), lambda: restart(live, report, old, new)
         )
+    return _live_migration(live, report, (old,), (new,))
+
+
+def _live_migration(
+    live: LiveRobot,
+    report: MigrationReport,
+    sources: tuple[Incarnation, ...],
+    targets: tuple[Incarnation, ...],
+) -> PendingMigration:
     return PendingMigration(
         live,
         report,
-        (old,),
-        (new,),
-        lambda: Migration(live, report, (old,), (new,)).run(),
+        sources,
+        targets,
+        lambda: Migration(live, report, sources, targets).run(),
     )
 
 
@@ -215,8 +217,7 @@ def _move_cold(
     """Stop a command and start it elsewhere, or here again.
 
     Its process has no state that could be transferred, and must not run twice. So the
-    target is prepared first; then the component is away for a moment. Never raises for
-    a failure; ``downtime`` is how long it was away [s].
+    target is prepared first; then the component is away for a moment.
     """
     started = time.monotonic()
     try:
@@ -224,28 +225,26 @@ def _move_cold(
     except RunError as error:
         desired = live.desired.with_coming(())
         live.commit(desired, f"the cold move of {report.name} is rolled back: {error}")
-        phases = {"prepare": time.monotonic() - started}
-        return structs.replace(report, reason=str(error), phases=phases)
+        report = structs.replace(report, reason=str(error))
     prepared = time.monotonic() - started
-    return structs.replace(
-        _restart(live, report, old, new), phases={"prepare": prepared}
-    )
+    if not report.reason:
+        report = _restart(live, report, old, new)
+    return structs.replace(report, phases={"prepare": prepared})
 
 
 def _restart_failed(
     live: LiveRobot, report: MigrationReport, old: Incarnation, new: Incarnation
 ) -> MigrationReport:
     """Restart what has failed, from its checkpoint unless it is to begin fresh."""
-    kept = live.agents.checkpoints.get(old.component, old.epoch)
+    kept = live.agents.checkpoints.get(*old.key)
     if not new.fresh:
-        new = with_checkpoint(live, new, kept)
+        new = _with_checkpoint(live, new, kept)
     return _restart(live, report, old, new, kept)
 
 
-def with_checkpoint(
+def _with_checkpoint(
     live: LiveRobot, new: Incarnation, kept: CheckpointCopy | None
 ) -> Incarnation:
-    """Let an agent keep the state that a component goes on from; journal that."""
     new, note = hand_checkpoint(live, new, kept)
     note()
     return new
@@ -273,17 +272,11 @@ def _restart(
     new: Incarnation,
     kept: CheckpointCopy | None = None,
 ) -> MigrationReport:
-    """End an incarnation that has no state, or has failed, and then start the next."""
-    began = time.monotonic()
-    reason = _swap(live, old, new, kept)
-    away = time.monotonic() - began
-    return structs.replace(report, committed=not reason, reason=reason, downtime=away)
+    """End an incarnation that has no state, or has failed, and then start the next.
 
-
-def _swap(
-    live: LiveRobot, old: Incarnation, new: Incarnation, kept: CheckpointCopy | None
-) -> str:
-    """Return why `old` runs again, with what was kept of it; empty: `new` runs."""
+    When that fails, `old` runs again, with what was kept of it.
+    """
+    began, reason = time.monotonic(), ""
     what, active = f"cold move of '{old.component}'", new.with_goal("active")
     try:
         # the two must not run at the same time
@@ -292,13 +285,15 @@ def _swap(
         live.wait_ended(old)
         live.bring([active], ACTIVE_LIMIT, f"{what}: it starts")
     except RunError as error:
+        reason = str(error)
         again = structs.replace(old, epoch=live.next_epoch(old.component))
-        again = with_checkpoint(live, again, kept)
+        again = _with_checkpoint(live, again, kept)
         desired = live.desired.with_coming(()).placing([again])
-        live.commit(desired, f"{what} is rolled back: {error}")
-        return str(error)
-    live.commit(live.desired.placing([active]), f"{what} is committed")
-    return ""
+        live.commit(desired, f"{what} is rolled back: {reason}")
+    else:
+        live.commit(live.desired.placing([active]), f"{what} is committed")
+    away = time.monotonic() - began
+    return structs.replace(report, committed=not reason, reason=reason, downtime=away)
 
 
 def plan_alternative(
@@ -333,13 +328,7 @@ def plan_alternative(
         before={incarnation.component: incarnation.computer for incarnation in sources},
         after=where,
     )
-    return PendingMigration(
-        live,
-        report,
-        sources,
-        targets,
-        lambda: Migration(live, report, sources, targets).run(),
-    )
+    return _live_migration(live, report, sources, targets)
 
 
 def _checked(live: LiveRobot, name: str, by: str) -> tuple[Architecture, Architecture]:
@@ -378,11 +367,11 @@ def _check_layer(architecture: Architecture, what: str) -> None:
 
 def _check_stateless(live: LiveRobot, old: Architecture) -> None:
     """Raise UsageError when a component's state would be lost."""
-    placed = {live.placed[c.name].computer for c in old.components}
-    names = {c.name for c in old.components}
-    statuses = live.agents.statuses()
-    found = components_of({c: s for c, s in statuses.items() if c in placed})
-    lost = sorted({c.name for c in found if c.has_state} & names)
+    where = {c.name: live.placed[c.name].computer for c in old.components}
+    found = located(live.agents.statuses())
+    lost = sorted(
+        {c.name for at, c in found if c.has_state and where.get(c.name) == at}
+    )
     if lost:
         raise UsageError(
             f"the state of {named('component', lost)} would be lost: map it with "
