@@ -228,7 +228,11 @@ class ReceivingEnd(Struct, frozen=True, kw_only=True):
         tell = partial(Sparing(log).warn, "refused", text, connector)
         serve = self._serving(tell)
         read = partial(stamped_value, spec, clock) if spec.carries else Frame.value
-        take_numbered = _taking_numbered(connector, target, port, feed, read)
+        number_tag = numbered_tag(port.type) if port.kind == "subscribes" else None
+        heard = target.heard[port.name]
+
+        def put(message: object) -> None:
+            feed.put((message_tag(port.type), message))
 
         def handle(received: Frame) -> Pieces | None:
             if received.kind is _MARK:
@@ -244,11 +248,11 @@ class ReceivingEnd(Struct, frozen=True, kw_only=True):
                 counts.add_message(0, received.size, latency, clock.error)
                 issuer.came(received)
                 target.overtaken.check(spec)
-                coder = coders.get(received.tag)
-                if coder is None:
-                    take_numbered(received)
+                value = read(received, coders.get(received.tag) or _refuse(port))
+                if received.tag == number_tag:
+                    take(heard, connector, value, put)
                 else:
-                    feed.put((received.tag, read(received, coder)))
+                    feed.put((received.tag, value))
             except WireError as error:
                 counts.refuse(error)
                 tell(error)
@@ -314,30 +318,6 @@ class ReceivingEnd(Struct, frozen=True, kw_only=True):
         )
 
 
-def _taking_numbered(
-    connector: str,
-    target: ComponentEndpoints,
-    port: Port,
-    feed: Feed,
-    read: Callable[[Frame, Codec[Any]], Any],
-) -> Callable[[Frame], None]:
-    """Return a function that queues a numbered message, and refuses all else."""
-    if port.kind == "provides":
-        return lambda _: _refuse(port)
-    tag, heard = message_tag(port.type), target.heard[port.name]
-    wanted, coder = numbered_tag(port.type), numbered(codec(port.type))
-
-    def put(message: object) -> None:
-        feed.put((tag, message))
-
-    def take_numbered(received: Frame) -> None:
-        if received.tag != wanted:
-            _refuse(port)
-        take(heard, connector, read(received, coder), put)
-
-    return take_numbered
-
-
 def entry_codec(port: Port, tag: int) -> Codec[Any]:
     """Return the codec of a waiting message or one-way call, by its tag."""
     if port.kind == "subscribes":
@@ -348,7 +328,11 @@ def entry_codec(port: Port, tag: int) -> Codec[Any]:
 def _coders(port: Port) -> dict[int, Codec[Any]]:
     """Return the codecs of messages or arguments of calls to a port, by their tags."""
     if port.kind == "subscribes":
-        return {message_tag(port.type): codec(port.type)}
+        coder = codec(port.type)
+        return {
+            message_tag(port.type): coder,
+            numbered_tag(port.type): numbered(coder),
+        }
     return {tag: method.arguments for tag, method in _methods(port).items()}
 
 

@@ -13,14 +13,9 @@ from poise.runtime._calls import ComponentCounters
 from poise.runtime.component.component import Component
 from poise.runtime.component.ports import Port, Published, Queue, methods_of
 from poise.runtime.connectors.interface import Proxy, refusing
-from poise.runtime.connectors.latest import (
-    Heard,
-    LatestMessage,
-    LatestMessages,
-    Numbered,
-)
+from poise.runtime.connectors.latest import Heard, LatestMessage, LatestMessages
 from poise.runtime.connectors.sender import Sender
-from poise.runtime.connectors.tap import Observers, observed_send
+from poise.runtime.connectors.tap import ObservedPort
 from poise.runtime.execution.counters import Counts, Overtaken
 from poise.runtime.execution.data_age import DataAges, SentChains
 from poise.runtime.execution.exclusion import Exclusion
@@ -64,35 +59,6 @@ class OvertakenSources:
 
 _ONEWAY = Queue("block", 64)
 """One-way calls that may wait for a component; then their callers wait."""
-
-
-class ObservedPort:
-    """A published port at which no connector begins, for those who look at it.
-
-    `rewire`: called when there are others who look.
-    """
-
-    def __init__(
-        self, port: Port, latest: LatestMessage | None, rewire: Callable[[], object]
-    ) -> None:
-        self.port = port
-        self._latest = latest
-        self._rewire = rewire
-        self._observers: Observers = ()
-
-    @property
-    def last(self) -> Numbered | None:
-        """The last message, where late subscribers get it; None: there is none."""
-        return self._latest.last if self._latest else None
-
-    def sending(self) -> Callable[..., None]:
-        """Return a function that lets a message be noted, and sends it to nobody."""
-        return observed_send(lambda *_: None, self._observers)
-
-    def observe(self, observers: Observers) -> None:
-        """Let observers note what is published from now on, instead of those before."""
-        self._observers = observers
-        self._rewire()
 
 
 class ComponentEndpoints:
@@ -164,10 +130,11 @@ class ComponentEndpoints:
 
     def observed(self, port: Port) -> ObservedPort:
         """Return a published port, to be looked at without a connector."""
-        return self._observed.setdefault(
-            port.name,
-            ObservedPort(port, self.latest.get(port.name), partial(self._rewire, port)),
-        )
+        if port.name not in self._observed:
+            observed = ObservedPort(port, self.latest.get(port.name))
+            observed.on_observed = partial(self._rewire, port)
+            self._observed[port.name] = observed
+        return self._observed[port.name]
 
     def note_marker(self, connector: str, number: int, /) -> None:
         """Note that all that was sent before this marker has come."""

@@ -29,7 +29,12 @@ from poise.runtime.connectors.interface import (
 )
 from poise.runtime.connectors.latest import LatestMessage, Number, Numbered
 from poise.runtime.connectors.route import Route
-from poise.runtime.connectors.tap import Observers, observed_call, observed_send
+from poise.runtime.connectors.tap import (
+    ObservedPort,
+    Observers,
+    observed_call,
+    observed_send,
+)
 from poise.runtime.execution.container_lease import LeaseEnded
 from poise.runtime.execution.counters import Counts
 from poise.runtime.execution.data_age import SentChains, Stamped
@@ -50,7 +55,7 @@ Waiting = tuple[Method | None, Any, float]
 """A one-way call's method, what is sent, and since when it waits [s, monotonic]."""
 
 
-class Sender:
+class Sender(ObservedPort):
     """The source's end of one connector. Any thread may use it."""
 
     def __init__(
@@ -63,10 +68,9 @@ class Sender:
         chains: SentChains | None = None,
         latest: LatestMessage | None = None,
     ) -> None:
+        super().__init__(port, latest)
         self.name = name
         self.chains = chains
-        self._latest = latest
-        self.port = port
         self.counts = Counts()
         self._sparing = Sparing(log)
         self._limit = limit
@@ -81,8 +85,6 @@ class Sender:
         self._lock = threading.Lock()
         self._changed = threading.Condition(self._lock)
         self._num_waiting = 0
-        self._observers: Observers = ()
-        self.on_observed: Callable[[], object] = lambda: None
         with self._lock:
             self._use(None)
 
@@ -108,11 +110,6 @@ class Sender:
         """Return the routes by key."""
         return dict(self._routes)
 
-    @property
-    def last(self) -> Numbered | None:
-        """The last message, where late subscribers get it; None: there is none."""
-        return self._latest.last if self._latest else None
-
     def sending(self) -> Callable[..., None]:
         """Return `send` with stamps, which are made at once: waiting counts as age."""
         chains, send = self.chains, self.send
@@ -122,10 +119,9 @@ class Sender:
 
     def observe(self, observers: Observers) -> None:
         """Let observers note what goes out from now on, instead of those before."""
+        super().observe(observers)
         with self._lock:
-            self._observers = observers
             self._use(self._current)
-        self.on_observed()
 
     def send(self, value: object, method: Method | None = None) -> None:
         """Send or buffer a message or one-way call; what cannot go out is counted."""

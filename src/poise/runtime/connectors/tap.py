@@ -18,14 +18,16 @@ from functools import partial
 from itertools import islice
 from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
 
 from poise.clock import steady_wall_time
 from poise.errors import RunError, UsageError, encodable, said
+from poise.runtime.component.ports import Port
 from poise.runtime.connectors.latest import (
     NONE,
+    LatestMessage,
     Number,
     Numbered,
     numbered_tag,
@@ -43,11 +45,6 @@ from poise.wire.records.request_records import (
     Tap,
     TapReading,
 )
-
-if TYPE_CHECKING:
-    from poise.runtime.component.ports import Port
-    from poise.runtime.connectors.endpoints import ObservedPort
-    from poise.runtime.connectors.sender import Sender
 
 log = logging.getLogger(__name__)
 
@@ -158,6 +155,31 @@ class Observer:
 
 
 Observers = tuple[Observer, ...]
+
+
+class ObservedPort:
+    """What is sent at a port, for those who look; by itself it sends to nobody."""
+
+    def __init__(self, port: Port, latest: LatestMessage | None) -> None:
+        self.port = port
+        self.on_observed: Callable[[], object] = lambda: None
+        """Called when there are others who look."""
+        self._latest = latest
+        self._observers: Observers = ()
+
+    @property
+    def last(self) -> Numbered | None:
+        """The last message, where late subscribers get it; None: there is none."""
+        return self._latest.last if self._latest else None
+
+    def sending(self) -> Callable[..., None]:
+        """Return a function that lets a message be noted, and sends it."""
+        return observed_send(lambda *_: None, self._observers)
+
+    def observe(self, observers: Observers) -> None:
+        """Let observers note what goes out from now on, instead of those before."""
+        self._observers = observers
+        self.on_observed()
 
 
 def observed_send(
@@ -289,9 +311,9 @@ def _size(value: Any) -> str:  # noqa: ANN401, the same
 class Taps:
     """The observers of a container's senders; used by its control thread alone."""
 
-    def __init__(self, sender_of: Callable[[str], Sender | ObservedPort]) -> None:
+    def __init__(self, sender_of: Callable[[str], ObservedPort]) -> None:
         self._sender_of = sender_of
-        self._observed: dict[tuple[Sender | ObservedPort, str], Observer] = {}
+        self._observed: dict[tuple[ObservedPort, str], Observer] = {}
 
     def read(self, tap: Tap) -> TapReading | StepsFailed:
         """Return what has gone out since a viewer asked last; from now on note it."""
@@ -330,7 +352,7 @@ class Taps:
             del self._observed[key]
             self._show(key[0])
 
-    def _show(self, sender: Sender | ObservedPort) -> None:
+    def _show(self, sender: ObservedPort) -> None:
         sender.observe(
             tuple(
                 o for (observed, _), o in self._observed.items() if observed is sender

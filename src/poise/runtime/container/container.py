@@ -36,9 +36,7 @@ from poise.errors import (
 from poise.priority import as_usual, go_first
 from poise.runtime.component.error_report import sendable, traceback_of
 from poise.runtime.component.implementation import search_also
-from poise.runtime.connectors.endpoints import ObservedPort
-from poise.runtime.connectors.sender import Sender
-from poise.runtime.connectors.tap import Taps
+from poise.runtime.connectors.tap import ObservedPort, Taps
 from poise.runtime.container.agent_link import AgentLink
 from poise.runtime.container.component_import import folder_of, prepare
 from poise.runtime.execution.container_lease import LeaseEnd
@@ -296,7 +294,7 @@ class Container:
         known.sort(key=lambda r: (r.life_cycle.state == "active", r.spec.epoch))
         return known[-1] if known else None
 
-    def _sender(self, asked: str) -> Sender | ObservedPort:
+    def _sender(self, asked: str) -> ObservedPort:
         """Return the sender of a connector, or a published port that has none."""
         component, _, name = asked.rpartition(".")
         runner = self._active(component)
