@@ -94,7 +94,7 @@ PARTS: dict[str, Callable[[Buggy], tuple[object, str]]] = {
     "adapt the placement": lambda b: (b.adaptation._needs, "evaluate"),
     "wait for news": lambda b: (b.manager.tasks, "has_news"),
     "see who manages the robot": lambda b: (b.manager._live.agents, "successor"),
-    "look at itself": lambda b: (b.manager._troubles, "check"),
+    "look at itself": lambda b: (b.manager.troubles, "check"),
     "bring agents to what should run": lambda b: (b.manager._live, "gateways"),
     "tell the agent of 'left' what should run": lambda b: (
         b.manager._live.reconciler,
@@ -148,5 +148,5 @@ def test_a_thread_that_fails_is_journalled_and_said_and_the_robot_goes_on(
     assert failed.kind == "failed"
     assert "break_down" in failed.facts["traceback"]
     # it is not shown any more a minute later
-    buggy.manager.failures._now = lambda: time.monotonic() + 2 * threads.SHOWN_FOR
+    buggy.manager.troubles._now = lambda: time.monotonic() + 2 * threads.SHOWN_FOR
     assert "odd one" not in said(buggy.up)

@@ -97,10 +97,7 @@ _EXIT_CODES = (
 
 
 def build(arguments: Sequence[str], *, completes: bool = False) -> typer.Typer:
-    """Return the command line; only the command that is asked for is imported.
-
-    `completes`: a shell asks what the last of the arguments may become.
-    """
+    """Return the command line, or what of it a shell may complete (`completes`)."""
     app = typer.Typer(
         help="Keeps a robot's software in balance over its on-board computers.",
         epilog=_EXIT_CODES,

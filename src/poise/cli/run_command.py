@@ -293,10 +293,7 @@ def demo_command(
 
 
 def demo_module() -> ModuleType:
-    """Return `examples/demo/play.py` of the clone where this is, or the command runs.
-
-    UsageError: neither is a clone.
-    """
+    """Return `examples/demo/play.py` of the clone where this, or the command, is."""
     for clone in (_CLONE, Path.cwd()):
         if (clone / "examples/demo/play.py").is_file():
             sys.path.insert(0, str(clone))

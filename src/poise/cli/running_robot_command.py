@@ -42,10 +42,7 @@ _LAST_ANSWER = 15.0
 
 @contextmanager
 def telling_progress(running: Running, goes_on: str) -> Iterator[None]:
-    """Say what migrations of a robot wait for, until the block ends.
-
-    Ctrl-C says so, too, and what `goes_on` without the command, and leaves.
-    """
+    """Say what migrations wait for, until the block ends; at Ctrl-C, what `goes_on`."""
     is_over, said = threading.Event(), list[str]()
     before = signal.getsignal(signal.SIGINT)
 

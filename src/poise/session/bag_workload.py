@@ -55,11 +55,7 @@ def bag_traffic(robot: Robot, path: Path) -> Mapping[str, ConnectorProfile]:
 
 
 def _topics(robot: Robot, bag: Bag) -> dict[str, list[str]]:
-    """Return topic of a bag that the robot takes in -> the connectors that bring it.
-
-    Nodes of one architecture send each other what they do themselves. UsageError: the
-    bag lacks what a bridge takes, or has nothing for the robot.
-    """
+    """Return topic of a bag that the robot takes in -> the connectors that bring it."""
     sent = {topic_name(c.topic) for c in robot.all_connectors() if c.topic}
     topics: dict[str, list[str]] = {}
     for connector in robot.connectors:

@@ -164,10 +164,7 @@ def _entries(root: Node) -> list[Node]:
 
 
 def _shape(keys: FaultKeys, node: Node) -> Iterator[tuple[KeyPath, str]]:
-    """Yield the keys that a kind of fault lacks, or does not take.
-
-    One whose value is wrong is in the file, but not among `keys`.
-    """
+    """Yield the keys that a kind of fault lacks, or does not take."""
     kind = keys.fault
     written = node.value if isinstance(node.value, dict) else {}
     wanted = "between" if kind in LINK_KINDS else "computer"

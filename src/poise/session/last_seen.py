@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import threading
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import reduce
 from typing import TypeVar
 
-from msgspec.structs import replace
+from msgspec.structs import asdict, replace
 
 from poise.manage.agent_connections.statuses import Statuses
 from poise.wire.records.status_records import (
@@ -24,7 +24,8 @@ from poise.wire.records.status_records import (
 )
 
 K = TypeVar("K")
-T = TypeVar("T", TimerStatus, ChainStatus)
+N = TypeVar("N", TimerStatus, ChainStatus)
+T = TypeVar("T", TimerStatus, ChainStatus, ConnectorStatus)
 V = TypeVar("V")
 
 
@@ -42,8 +43,8 @@ def _after(before: ComponentStatus, last: ComponentStatus) -> ComponentStatus:
         errors=before.errors + last.errors,
         error_counts=_errors(before.error_counts + last.error_counts),
         cpu=before.cpu + last.cpu,
-        timers=tuple(_timer(_same(before.timers, each), each) for each in last.timers),
-        chains=tuple(_chain(_same(before.chains, each), each) for each in last.chains),
+        timers=_each_after(before.timers, last.timers, "releases", "missed"),
+        chains=_each_after(before.chains, last.chains, "missed"),
         measures=measures,
     )
 
@@ -62,27 +63,23 @@ def together(one: Summary, other: Summary) -> Summary:
     )
 
 
-def _same(before: Iterable[T], now: T) -> T | None:
-    return next((each for each in before if each.name == now.name), None)
-
-
-def _timer(before: TimerStatus | None, last: TimerStatus) -> TimerStatus:
-    if before is None:
-        return last
-    return replace(
-        last,
-        releases=before.releases + last.releases,
-        missed=before.missed + last.missed,
-        lateness=together(before.lateness, last.lateness),
-        duration=together(before.duration, last.duration),
+def _each_after(before: Iterable[N], last: Iterable[N], *counts: str) -> tuple[N, ...]:
+    known = {each.name: each for each in before}
+    return tuple(
+        _both(known[each.name], each, *counts) if each.name in known else each
+        for each in last
     )
 
 
-def _chain(before: ChainStatus | None, last: ChainStatus) -> ChainStatus:
-    if before is None:
-        return last
-    missed, age = before.missed + last.missed, together(before.age, last.age)
-    return replace(last, missed=missed, age=age)
+def _both(before: T, last: T, *counts: str) -> T:
+    """Return the last record, with these counts and all summaries of both."""
+    sums = {name: getattr(before, name) + getattr(last, name) for name in counts}
+    summaries = {
+        name: together(getattr(before, name), value)
+        for name, value in asdict(last).items()
+        if isinstance(value, Summary)
+    }
+    return replace(last, **sums, **summaries)
 
 
 def _errors(errors: Iterable[ErrorCount]) -> tuple[ErrorCount, ...]:
@@ -157,27 +154,17 @@ class LastSeen:
     def merged(self, statuses: Statuses) -> Statuses:
         """Return the statuses, with what was there before and is gone."""
         self.record(statuses)
+        containers: dict[str, list[ContainerStatus]] = defaultdict(list)
         with self._lock:
-            return self._merged(statuses)
-
-    def _merged(self, statuses: Statuses) -> Statuses:
+            for place, container in self._containers.items():
+                containers[place[0]].append(self._latest(place, container))
         return {
-            computer: replace(
-                status,
-                containers=tuple(
-                    self._latest(place, container)
-                    for place, container in self._containers.items()
-                    if place[0] == computer
-                ),
-            )
+            computer: replace(status, containers=tuple(containers[computer]))
             for computer, status in statuses.items()
         }
 
     def connectors(self) -> Iterator[ConnectorStatus]:
-        """Yield each end of each connector, with the counts of all its stays.
-
-        What a container did after its last status is not known.
-        """
+        """Yield each end of each connector, with the counts of all its stays."""
         with self._lock:
             for _, counts in sorted(self._ends.items()):
                 yield reduce(_end_after, counts.values())
@@ -248,10 +235,7 @@ def _num_taken(counts: Mapping[_Count, ConnectorStatus], *, drops: bool) -> int:
 def _end_after(before: ConnectorStatus, last: ConnectorStatus) -> ConnectorStatus:
     """Return an end's last status, with what it had counted in a process before."""
     counts = "calls", "messages", "bytes_out", "bytes_in", "errors", "drops"
-    times = "delay", "wait", "size", "latency"
-    sums = {name: getattr(before, name) + getattr(last, name) for name in counts}
-    both = {n: together(getattr(before, n), getattr(last, n)) for n in times}
-    return replace(last, **sums, **both)
+    return _both(before, last, *counts)
 
 
 def _fold(stays: dict[K, V], after: Callable[[V, V], V]) -> None:

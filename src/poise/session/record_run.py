@@ -22,10 +22,7 @@ from poise.wire.recording_file import inputs_folder, left_inputs
 
 
 class Tapped(Struct, frozen=True):
-    """The robot, and which component.port is recorded.
-
-    `sources` publish, `callers` call.
-    """
+    """The robot, and which component.port is recorded, of publishers and of callers."""
 
     robot: Robot
     sources: tuple[str, ...] = ()
@@ -98,10 +95,7 @@ class Kept(Struct):
 def keeping(
     robot: Robot, placed: Collection[str], file: str | PathLike[str] | None, say: Say
 ) -> Iterator[Kept]:
-    """Record what runs in `file`, if there is one.
-
-    To be entered before the run is, for containers write until it ends.
-    """
+    """Record what runs in `file`, if there is one, until all containers have ended."""
     if file is None:
         yield Kept(robot)
         return

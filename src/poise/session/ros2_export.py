@@ -41,11 +41,7 @@ class LaunchFiles(Struct, frozen=True):
 def launch_files(
     robot: Robot, where: Mapping[str, str], folder: str = "."
 ) -> LaunchFiles:
-    """Return launch files that start what runs on each computer.
-
-    `where`: component -> computer. `folder`: that of the robot file, relative to that
-    of the launch files.
-    """
+    """Return launch files for a placement; `folder`: from them to the robot file."""
     network = ros2_environment(robot)
     common = [f"SetEnvironmentVariable({k!r}, {v!r})" for k, v in network.items()]
     actions: dict[str, list[str]] = {}

@@ -15,7 +15,6 @@ from msgspec import structs
 
 from poise import threads
 from poise.clock import wall_time
-from poise.emulate import set_for
 from poise.errors import PoiseError, RunError, UsageError
 from poise.estimate.success_rates import as_learned
 from poise.manage.control_socket.control_server import ControlServer
@@ -28,6 +27,7 @@ from poise.session import Check, Say, log, nothing
 from poise.session.arguments import check_duration, check_path
 from poise.session.deploy.deploy import as_deployed
 from poise.session.last_seen import LastSeen
+from poise.session.launch.computers import outlive_manager
 from poise.session.launch.managed import journal_of, managed, planned
 from poise.session.launch.start import Started
 from poise.session.placing.first_phase import first_phase
@@ -176,15 +176,11 @@ _FIGURES = re.compile(r"(?<![\w-])[\d.]+")
 def _server(
     robot: Robot, stack: contextlib.ExitStack, say: Say
 ) -> ControlServer | None:
-    """Open the control socket; without one, a run goes on unwatched.
-
-    UsageError where the same agents obey another manager of this robot already.
-    """
+    """Open the control socket; without one, a run goes on unwatched."""
     try:
         return stack.enter_context(ControlServer(robot.name))
     except PoiseError as error:
-        has_own_computers = robot.is_emulated and set_for(robot) is None
-        if isinstance(error, UsageError) and not has_own_computers:
+        if isinstance(error, UsageError) and outlive_manager(robot):
             raise
         say(f"this run cannot be watched: {error}")
         return None

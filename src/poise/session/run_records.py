@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from typing import Any
 
 from msgspec import Struct, structs
 
@@ -15,22 +14,12 @@ from poise.manage.agent_connections.statuses import (
     connectors_of,
     located,
 )
-from poise.manage.journal import JournalEntry
-from poise.manage.observe.chains import (
-    ChainAges,
-    ChainReport,
-    DeadlineMisses,
-    chain_reports,
-)
-from poise.manage.observe.deviations import LocatedFault
+from poise.manage.observe.chains import ChainAges, DeadlineMisses, chain_reports
 from poise.manage.observe.troubles import refused
-from poise.manage.tasks.task_reports import TaskReport
 from poise.model.robot import Connector, Robot
-from poise.wire.records.heartbeat_records import ClockStatus
 from poise.wire.records.status_records import (
     AgentStatus,
     ComponentStatus,
-    ConnectorStatus,
     ErrorCount,
     Summary,
     TimerStatus,
@@ -202,54 +191,6 @@ class ComponentReport(Struct, frozen=True, kw_only=True):
     measures: Mapping[str, Summary]
 
 
-class RunRecord(Struct, frozen=True, kw_only=True):
-    """What a run showed; `RunReport` prints it and describes its fields."""
-
-    robot: str
-    task: str
-    method: str
-    placement: Mapping[str, str]
-    decision_seconds: float
-    seconds: float
-    cpu_share: Mapping[str, float]
-    components: tuple[ComponentReport, ...]
-    connectors: tuple[ConnectorStatus, ...]
-    began: float = 0.0
-    history: tuple[Moment, ...] = ()
-    journal: tuple[JournalEntry, ...] = ()
-    chains: tuple[ChainReport, ...] = ()
-    tasks: tuple[TaskReport, ...] = ()
-    suspended: tuple[str, ...] = ()
-    errors: tuple[ComponentError, ...] = ()
-    hung: tuple[HungHandler, ...] = ()
-    refused: Mapping[str, int] = {}
-    lost: Mapping[str, int] = {}
-    silent: tuple[SilentPort, ...] = ()
-    faults: tuple[LocatedFault, ...] = ()
-    interrupted: bool = False
-    clocks: Mapping[str, Mapping[str, ClockStatus]] = {}
-    invalid: str = ""
-    without: tuple[str, ...] = ()
-    unrecorded: str = ""
-    simulation: Mapping[str, Any] = {}
-
-    def component(self, name: str) -> ComponentReport:
-        """Return the report of one component; KeyError when it did not run."""
-        return {component.name: component for component in self.components}[name]
-
-    @property
-    def failed(self) -> bool:
-        """Whether code raised or hung, a message was refused, or not all ran."""
-        return bool(
-            self.errors
-            or self.hung
-            or self.refused
-            or self.faults
-            or self.suspended
-            or any(each.state == "failed" for each in self.tasks)
-        )
-
-
 def component_reports(
     begin: Statuses, end: Statuses, seconds: float
 ) -> tuple[ComponentReport, ...]:
@@ -274,8 +215,3 @@ def _seconds(first: AgentStatus | None, last: AgentStatus, about: float) -> floa
     if first is not None and first.start != last.start:
         return about  # its agent was started again, and counts from 0
     return last.uptime - (first.uptime if first else 0.0) or math.inf
-
-
-def clocks_of(statuses: Statuses) -> dict[str, Mapping[str, ClockStatus]]:
-    """Return what each computer knows of the others' clocks, by name."""
-    return {name: status.clocks for name, status in sorted(statuses.items())}

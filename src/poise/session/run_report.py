@@ -24,9 +24,11 @@ from poise.session.render.printable import Printable
 from poise.session.render.report_page import page
 from poise.session.render.run_tables import report_parts
 from poise.session.run_records import (
+    ComponentError,
+    ComponentReport,
+    HungHandler,
     Moment,
-    RunRecord,
-    clocks_of,
+    SilentPort,
     component_errors,
     component_reports,
     cpu_shares,
@@ -34,7 +36,8 @@ from poise.session.run_records import (
     refused_messages,
     silent_ports,
 )
-from poise.wire.records.status_records import Summary
+from poise.wire.records.heartbeat_records import ClockStatus
+from poise.wire.records.status_records import ConnectorStatus, Summary
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -42,7 +45,7 @@ if TYPE_CHECKING:
 Table = Literal["components", "timers", "connectors", "chains"]
 
 
-class RunReport(Printable, RunRecord, frozen=True, kw_only=True):
+class RunReport(Printable, Struct, frozen=True, kw_only=True):
     """One run of a task. It prints itself as tables, in a terminal and in a notebook.
 
     Parameters
@@ -95,6 +98,50 @@ class RunReport(Printable, RunRecord, frozen=True, kw_only=True):
     simulation
         What the simulated world said last.
     """
+
+    robot: str
+    task: str
+    method: str
+    placement: Mapping[str, str]
+    decision_seconds: float
+    seconds: float
+    cpu_share: Mapping[str, float]
+    components: tuple[ComponentReport, ...]
+    connectors: tuple[ConnectorStatus, ...]
+    began: float = 0.0
+    history: tuple[Moment, ...] = ()
+    journal: tuple[JournalEntry, ...] = ()
+    chains: tuple[ChainReport, ...] = ()
+    tasks: tuple[TaskReport, ...] = ()
+    suspended: tuple[str, ...] = ()
+    errors: tuple[ComponentError, ...] = ()
+    hung: tuple[HungHandler, ...] = ()
+    refused: Mapping[str, int] = {}
+    lost: Mapping[str, int] = {}
+    silent: tuple[SilentPort, ...] = ()
+    faults: tuple[LocatedFault, ...] = ()
+    interrupted: bool = False
+    clocks: Mapping[str, Mapping[str, ClockStatus]] = {}
+    invalid: str = ""
+    without: tuple[str, ...] = ()
+    unrecorded: str = ""
+    simulation: Mapping[str, Any] = {}
+
+    def component(self, name: str) -> ComponentReport:
+        """Return the report of one component; KeyError when it did not run."""
+        return {component.name: component for component in self.components}[name]
+
+    @property
+    def failed(self) -> bool:
+        """Whether code raised or hung, a message was refused, or not all ran."""
+        return bool(
+            self.errors
+            or self.hung
+            or self.refused
+            or self.faults
+            or self.suspended
+            or any(each.state == "failed" for each in self.tasks)
+        )
 
     def rows(self, of: Table = "components") -> list[dict[str, Any]]:
         """Return components, their timers, connectors' ends or chains as flat values.
@@ -170,10 +217,7 @@ def reported(
     seen: MeasuredRun,
     journal: tuple[JournalEntry, ...],
 ) -> RunReport:
-    """Return the report of a run whose components are inactive by now, but for faults.
-
-    Components have yet to end.
-    """
+    """Return the report of a run whose components are inactive, and have yet to end."""
     final = seen.last_seen.merged(up.live.agents.statuses())
     robot = up.live.robot
     invalid, simulation = seen.invalid, {}
@@ -202,7 +246,7 @@ def reported(
         refused=refused_messages(final),
         lost=seen.last_seen.unprocessed(up.live.agents.statuses()),
         silent=silent_ports(robot, final),
-        clocks=clocks_of(seen.end),
+        clocks={name: each.clocks for name, each in sorted(seen.end.items())},
         interrupted=seen.interrupted,
         invalid=invalid,
         without=up.computers.without,

@@ -16,7 +16,7 @@ from msgspec.structs import replace
 
 from poise import threads
 from poise.decoding import from_msgpack
-from poise.emulate import EmulatedComputer, set_for
+from poise.emulate import EmulatedComputer
 from poise.errors import RunError, TakenOver, UsageError
 from poise.estimate.success_rates import as_learned
 from poise.manage.control_socket.commands import StopCommand
@@ -32,7 +32,7 @@ from poise.session import Check, Say, log, nothing
 from poise.session.arguments import check_path, check_robot, check_type
 from poise.session.deploy.deploy import as_deployed
 from poise.session.folders import make_journal
-from poise.session.launch.computers import Computers
+from poise.session.launch.computers import Computers, outlive_manager
 from poise.session.launch.managed import (
     StandbySetup,
     ToManage,
@@ -198,8 +198,11 @@ def up(  # noqa: PLR0913 - each is a choice of the user
     check_type("metrics", metrics, int | None, "a port")
     check_type("otel", otel, str | None, "a URL, as http://localhost:4318")
     check_robot(robot)
-    if take_over:
-        _check_outlives(robot)
+    if take_over and not outlive_manager(robot):
+        raise UsageError(
+            f"the emulated computers of robot '{robot.name}' end with its manager: "
+            "only ones that `poise emulate` keeps can be taken over"
+        )
     names = _tasks_of(robot, task)
     if metrics is not None and not 0 < metrics < _PORTS:
         raise UsageError(f"metrics on port {metrics}: it is from 1 to {_PORTS - 1}")
@@ -263,16 +266,6 @@ def _tasks_of(robot: Robot, task: str | Sequence[str] | None) -> Sequence[str]:
     return [task_of(robot, each) for each in task]
 
 
-def _check_outlives(robot: Robot) -> None:
-    """Raise UsageError when the robot's computers end with their manager."""
-    is_real = any(computer.address for computer in robot.computers)
-    if not is_real and set_for(robot) is None:
-        raise UsageError(
-            f"the emulated computers of robot '{robot.name}' end with its manager: "
-            "only ones that `poise emulate` keeps can be taken over"
-        )
-
-
 def _exporter(port: int, patience: float = 0.0) -> MetricsServer:
     from poise.manage.observe.prometheus import MetricsServer
 
@@ -289,10 +282,7 @@ def _is_url(url: str) -> bool:
 
 
 def _telemetry(url: str) -> type[Telemetry]:
-    """Return the class that sends metrics.
-
-    UsageError: its extra is missing, or the URL is none.
-    """
+    """Return the class that sends metrics; UsageError: none, or the URL is none."""
     if not _is_url(url):
         raise UsageError(f"otel '{url}' is no URL, as in http://localhost:4318")
     try:
@@ -305,10 +295,7 @@ def _telemetry(url: str) -> type[Telemetry]:
 
 
 def stand_by(path: Path, words: Iterable[str], say: Say) -> None:
-    """Lead as the claim in a file says, at each word ``lead``; else until the end.
-
-    `words`: an agent's, one a line; its end is the agent's.
-    """
+    """Lead as the claim in a file says, at each word ``lead`` of an agent."""
     for word in words:
         if word.strip() == "end":
             return

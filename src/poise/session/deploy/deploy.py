@@ -97,10 +97,7 @@ def _files(robot: Robot) -> Mapping[str, Path]:
 
 
 def _is_own(path: Path, folder: Path) -> bool:
-    """Return whether a file is the robot's: an installed program is not.
-
-    A module is, also where its folder has a link to it.
-    """
+    """Return whether a file is the robot's: any module is, no installed program."""
     if not path.is_relative_to(folder) or ".." in path.relative_to(folder).parts:
         return False
     is_module = path.suffix in {".py", ".so"}
@@ -284,10 +281,7 @@ class _Sending:
         self._there = 0
 
     def send(self, version: str) -> int:
-        """Return how much was sent [bytes]; RunError: the computer does not have it.
-
-        What an interrupted deployment has left there is not sent again.
-        """
+        """Return how much was sent [bytes], without what was there before."""
         sent = sum(self._send(digest, data) for digest, data in self._files.items())
         self._ask(InstallCode(version), _INSTALL_LIMIT)
         return sent

@@ -26,11 +26,7 @@ class _Target(NamedTuple):
 
 
 def unfit(files: Mapping[str, Path], platforms: Mapping[str, str]) -> Iterator[str]:
-    """Yield a sentence for each code that a computer has, and cannot run.
-
-    `files`: all of them, by their names in the archive. `platforms`: computer -> its
-    own, as in `AgentStatus`.
-    """
+    """Yield sentences on code that computers, on their `platforms`, cannot run."""
     targets: dict[str, list[_Target]] = {}
     for name, path in files.items():
         if (target := _target(name, path)) is not None:

@@ -226,10 +226,7 @@ _MOST_CROSSING = 4
 def deployment_diagram(
     robot: Robot, placements: Mapping[str, Mapping[str, str]]
 ) -> BoxDiagram:
-    """Return placements (component -> computer) side by side, by their names.
-
-    What is elsewhere than in the first one is marked.
-    """
+    """Return placements side by side; what is elsewhere than in the first is marked."""
     first: Mapping[str, str] = next(iter(placements.values()), {})
     boxes: list[Box] = []
     joins: list[Join] = []

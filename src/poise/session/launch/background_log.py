@@ -32,10 +32,7 @@ def log_of(name: str) -> Path:
 
 
 def keep_log_small() -> None:
-    """Empty this process's log when it is large, if it has one.
-
-    What is written at that very moment is lost.
-    """
+    """Empty this process's log, if it has one, when it is large."""
     with contextlib.suppress(OSError):  # of the disk, or it has no standard output
         size = os.fstat(_STDOUT).st_size
         if size > LARGEST:

@@ -164,9 +164,9 @@ class EmulatedAgents:
             self._say(f"the agent of '{name}' ended ({code}) and is started again")
 
 
-def agent_of(computer: EmulatedComputer) -> Endpoint:
-    """Return where the agent of an emulated computer listens."""
-    return Endpoint(computer.address, AGENT_PORT)
+def outlive_manager(robot: Robot) -> bool:
+    """Return whether a robot's computers go on when its manager ends."""
+    return not robot.is_emulated or set_for(robot) is not None
 
 
 @contextlib.contextmanager
@@ -290,11 +290,7 @@ class Computers:
         return why_all_refused(agents, self.addresses.credentials())
 
     def begin(self, promised: Mapping[str, float] = {}) -> None:
-        """Judge from now on whether the host gives what the emulation promised.
-
-        `promised`: computer -> that [cores of the host], where it is less than what the
-        computer may use.
-        """
+        """Judge the host from now on; `promised`: computer -> cores, if not all."""
         self._began = self._clock.now()
         if self.emulated:
             for name, cores in promised.items():
@@ -331,7 +327,7 @@ def computers_of(
     use_kept: bool = False,
 ) -> Iterator[Computers]:
     """Give the robot's real computers, or emulate all of them on this one."""
-    if any(computer.address for computer in robot.computers):
+    if not robot.is_emulated:
         yield Computers(real_agents(robot))
         return
     kept = set_for(robot) if use_kept else None
@@ -371,22 +367,18 @@ def real_agents(robot: Robot, *also: Role) -> AgentAddresses:
     """
     where = {c.name: Endpoint.parse(c.address) for c in robot.computers if c.address}
     keys = None if robot.insecure else find(robot.name, "manager", *also)
-    if keys is None and not robot.insecure:
-        _raise_if_reachable(robot.name, where, *also)
+    for name, endpoint in where.items():
+        is_local = endpoint.is_ip and ip_address(endpoint.host).is_loopback
+        if keys is None and not (robot.insecure or is_local):
+            raise_if_of_other_role(robot.name, "manager", *also)
+            raise UsageError(
+                f"there are no keys for robot '{robot.name}', and whoever reaches "
+                f"computer '{name}' ({endpoint}) could run code there: `poise keys "
+                "init` and `poise keys issue` make keys; `insecure: true` in the robot "
+                "file goes without"
+            )
     endpoints = {name: locator(at, keys) for name, at in where.items()}
     return AgentAddresses(robot.name, endpoints, str(keys.folder) if keys else "")
-
-
-def _raise_if_reachable(robot: str, where: Mapping[str, Endpoint], *also: Role) -> None:
-    for name, endpoint in where.items():
-        if not (endpoint.is_ip and ip_address(endpoint.host).is_loopback):
-            raise_if_of_other_role(robot, "manager", *also)
-            raise UsageError(
-                f"there are no keys for robot '{robot}', and whoever reaches computer "
-                f"'{name}' ({endpoint}) could run code there: `poise keys init` and "
-                "`poise keys issue` make keys; `insecure: true` in the robot file goes "
-                "without"
-            )
 
 
 def emulated_addresses(
@@ -395,5 +387,8 @@ def emulated_addresses(
     """Return where the agents of emulated computers are, and the keys for them."""
     keys = next(iter(computers.values())).folder.parent / _KEYS
     found = Credentials(keys) if keys.exists() else None
-    endpoints = {n: locator(agent_of(c), found) for n, c in computers.items()}
+    endpoints = {
+        name: locator(Endpoint(computer.address, AGENT_PORT), found)
+        for name, computer in computers.items()
+    }
     return AgentAddresses(robot, endpoints, str(keys) if found else "")

@@ -58,14 +58,10 @@ def up_detached(
     *,
     arguments: Sequence[str] = (),
 ) -> Detached:
-    """Run `poise WORDS` in the background, on computers that outlive it.
-
-    `arguments`: those of the robot file, as NAME=VALUE; its computers may need them.
-    """
+    """Run `poise WORDS` in the background, on computers that outlive it."""
     keeps = ""
     with contextlib.ExitStack() as undo:
-        is_emulated = not any(computer.address for computer in robot.computers)
-        if is_emulated and set_for(robot) is None:
+        if robot.is_emulated and set_for(robot) is None:
             log = log_of(f"{robot.name}.computers")
             size = log.stat().st_size
             values = [f"--set={argument}" for argument in arguments]

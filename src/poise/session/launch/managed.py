@@ -8,12 +8,10 @@ from os import PathLike
 from pathlib import Path
 from typing import NamedTuple
 
-import msgspec
 from msgspec import Struct
 from msgspec.msgpack import encode
 
 from poise import threads
-from poise.emulate import set_for
 from poise.errors import PoiseError
 from poise.estimate.outcomes import note_outcome
 from poise.manage.deploy.live_robot import DoesNotStart, LiveRobot
@@ -26,7 +24,7 @@ from poise.manage.tasks.saved_tasks import goes_on_with
 from poise.model.robot import Robot
 from poise.session import Check, Say
 from poise.session.folders import make_journal
-from poise.session.launch.computers import Computers
+from poise.session.launch.computers import Computers, outlive_manager
 from poise.session.launch.start import Sampling, Started, started
 from poise.session.placing.first_phase import FirstPhase, note_architectures
 from poise.session.profiling.stored_profiles import read_profile
@@ -41,17 +39,13 @@ class StandbySetup(Struct, frozen=True, kw_only=True):
 
 
 def election_of(robot: Robot, *, adapts: bool) -> Election | None:
-    """Return how managers of a robot follow each other; None: they do not.
-
-    Its computers have to outlive each of them.
-    """
-    is_real = any(computer.address for computer in robot.computers)
-    if not robot.standbys or not (is_real or set_for(robot) is not None):
+    """Return how managers follow each other; None: the computers end with them."""
+    if not robot.standbys or not outlive_manager(robot):
         return None
     return Election(
         votes=robot.votes,
         managers=robot.standbys,
-        setup=msgspec.msgpack.encode(StandbySetup(robot=robot, adapts=adapts)),
+        setup=encode(StandbySetup(robot=robot, adapts=adapts)),
     )
 
 
@@ -91,13 +85,6 @@ def journal_of(
         journal.close()
 
 
-class Managed(NamedTuple):
-    """A robot that runs, and its manager, which nobody calls yet."""
-
-    started: Started
-    manager: Manager
-
-
 class ToManage(NamedTuple):
     """A robot that is to be managed, and what its manager begins with.
 
@@ -133,8 +120,8 @@ def managed(
     adapts: bool,
     recorder: RecordingFile | None,
     begin: Callable[[LiveRobot], object] | None = None,
-) -> Iterator[Managed]:
-    """Start a robot with a manager, and stop it afterwards."""
+) -> Iterator[tuple[Started, Manager]]:
+    """Start a robot with a manager, which nobody calls yet; stop it afterwards."""
     samples, robot = Recording(), what.robot
     sampling = Sampling(samples.add)
     with (
@@ -162,8 +149,8 @@ def managed(
             suspended=what.why_suspended,
             recording=recorder,
         )
-        with threads.failures_heard(manager.failures.note):
-            yield Managed(up, manager)
+        with threads.failures_heard(manager.troubles.note_failure):
+            yield up, manager
 
 
 @contextlib.contextmanager

@@ -39,10 +39,7 @@ def visible(text: str, *, colours: bool = False) -> str:
 
 
 class Printer:
-    """Prints to a descriptor of its own, so that a blocked print holds up no exit.
-
-    Lines may have colours, but nothing else that controls a terminal.
-    """
+    """Prints to a descriptor of its own, so that a blocked print holds up no exit."""
 
     def __init__(self, fd: int = STDOUT) -> None:
         self._fd = fd

@@ -78,7 +78,16 @@ class SimulatorProcess:
     def result(self) -> Mapping[str, Any]:
         """End it, and return the JSON object of its last line; RunError: none."""
         self.end()
-        return _object(self._last.decode(errors="replace"))
+        line = self._last.decode(errors="replace")
+        if not line:
+            raise RunError("the simulator ended without a result")
+        try:
+            found = json.loads(line)
+        except json.JSONDecodeError:
+            found = None
+        if not isinstance(found, dict):
+            raise RunError(f"the simulator's last line is no JSON object: {line!r}")
+        return found
 
     def _read(self) -> None:
         with self._process.stdout or contextlib.nullcontext(()) as lines:
@@ -159,18 +168,6 @@ def _start(
         )
     except OSError as error:
         raise RobotError(f"simulator '{command[0]}' cannot start: {error}") from error
-
-
-def _object(line: str) -> Mapping[str, Any]:
-    if not line:
-        raise RunError("the simulator ended without a result")
-    try:
-        found = json.loads(line)
-    except json.JSONDecodeError:
-        found = None
-    if not isinstance(found, dict):
-        raise RunError(f"the simulator's last line is no JSON object: {line!r}")
-    return found
 
 
 _STEP = 0.2

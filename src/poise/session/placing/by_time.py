@@ -171,10 +171,7 @@ def _better(
     most: int,
     predict: Predict,
 ) -> DecidedByTime | None:
-    """Return a better placement near one where something is `late`, if one is found.
-
-    `seen`: the placements that were simulated; `most`: how many that may be.
-    """
+    """Return a better placement near one where something is `late`, if one is found."""
     total = _total(here)
     near = sorted(
         _neighbours(here.task_result, late),
@@ -192,10 +189,7 @@ def _better(
 def _neighbours(
     result: plan.TaskResult, late: Collection[str]
 ) -> Iterator[plan.TaskResult]:
-    """Yield what keeps all limits with one component elsewhere, or two changed round.
-
-    Of two, one has a part in what is `late`.
-    """
+    """Yield what keeps all limits with one component moved, or two changed round."""
     problem = result.problem
     for phase in problem.phases:
         placed = result.results[phase.name]
@@ -261,10 +255,7 @@ def _settle(result: plan.TaskResult, free: plan.TaskResult) -> None:
 def _as_predicted(
     decided: DecidedByTime, summed_problem: plan.TaskProblem, predict: Predict
 ) -> DecidedByTime:
-    """Return a placement whose F has the times that are predicted of it.
-
-    It may have been decided by what was predicted of another one.
-    """
+    """Return a placement whose F has the times that are predicted of it itself."""
     result = decided.task_result
     summed = _summed(result)
     is_told = isclose(summed, sum(_excesses(decided)), abs_tol=_ROUNDING)

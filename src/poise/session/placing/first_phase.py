@@ -32,10 +32,7 @@ class FirstPhase(Struct, frozen=True):
 def first_phase(
     robot: Robot, tasks: Sequence[str], placement: Placement | None, say: Say
 ) -> FirstPhase:
-    """Start tasks, and place what their first actions need.
-
-    Architectures of low priority are suspended when not all fits.
-    """
+    """Start tasks, and place what their first actions need, as far as it fits."""
     _check_placement(placement, tasks)
     started = Tasks(robot, say, lambda c, _: choose(robot, c, WELL, say))
     now = boot_time()

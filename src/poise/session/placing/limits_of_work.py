@@ -15,10 +15,7 @@ from poise.simulation.workload import SimulatedWork
 
 
 def chain_limits(robot: Robot, work: SimulatedWork) -> Iterator[TimeLimit]:
-    """Yield what the data of each chain passes from end to end.
-
-    `work`: what the components do.
-    """
+    """Yield what the data of each chain passes from end to end."""
     paths = _Paths(robot, work)
     for chain in robot.chains:
         yield TimeLimit(
@@ -38,10 +35,7 @@ def chain_limits(robot: Robot, work: SimulatedWork) -> Iterator[TimeLimit]:
 
 
 def timer_limits(work: SimulatedWork) -> Iterator[TimeLimit]:
-    """Yield what a run of each timer with a deadline takes.
-
-    What it waits for besides is predicted of a whole placement.
-    """
+    """Yield what a run of each timer with a deadline takes, apart from its waiting."""
     for component, model in work.models.items():
         for each in model.timers:
             if each.timer.deadline is not None:
@@ -67,10 +61,7 @@ class _Paths:
             self._between.setdefault(ends, connector)
 
     def runs(self, chain: Chain) -> Iterator[tuple[str, HandlerModel]]:
-        """Yield components and the handlers that the data goes through, each once.
-
-        The first component makes it when it sends it.
-        """
+        """Yield components and the handlers that the data goes through, each once."""
         for component in chain.through[1:]:
             handlers = [
                 handler

@@ -140,10 +140,7 @@ def _read(path: Path) -> tuple[Mapping[object, object], frozenset[str]]:
 def _checked(
     rule: str, found: Mapping[object, object], choices: Mapping[str, tuple[str, ...]]
 ) -> dict[str, str]:
-    """Return the placement in a file; UsageError with all that is wrong with it.
-
-    Whether it holds one architecture of each function is for the planner to say.
-    """
+    """Return the placement in a file; UsageError with all that is wrong with it."""
     faults = []
     placement = {}
     for component, computer in found.items():
@@ -162,10 +159,7 @@ def _checked(
 
 
 def _by_file(rule: str, robot: Robot, problem: plan.Problem) -> plan.Result:
-    """Return what a file places, without what it suspends.
-
-    UsageError names the components that it lacks.
-    """
+    """Return what a file places, without what it suspends."""
     found, named = _read(Path(rule))
     placement = by_rule(rule, robot, problem)
     architectures = [architecture.name for architecture in robot.architectures]
@@ -398,10 +392,7 @@ def decided(
     solve: Solve,
     check: Callable[[], None] | None = None,
 ) -> DecidedByTime:
-    """Return what a rule decides, or else a solver; None: there is no robot file.
-
-    `check`: called before each simulation; what it raises is raised.
-    """
+    """Return what a rule decides, or else a solver; None: there is no robot file."""
 
     def decide(asked: plan.TaskProblem) -> plan.TaskResult:
         return _ruled(method, robot, asked) or solve(asked)

@@ -186,10 +186,7 @@ def disagreeing(runs: Sequence[Observed], names: Iterable[str]) -> list[str]:
 
 
 def how_full(runs: Iterable[Observed], rig: ProfilingRig) -> float:
-    """Return the share of its CPU that the measuring computer used in the fullest run.
-
-    It is 0 where its agent cannot tell.
-    """
+    """Return the share of CPU used in the fullest run; 0: the agent cannot tell."""
     cores = rig.robot.computer(rig.computer).own_cores
     return max(run.measured.busy.get(rig.computer, 0.0) for run in runs) / cores
 

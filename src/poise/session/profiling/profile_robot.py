@@ -351,10 +351,7 @@ def _kept(robot: Robot, new: Profile) -> Profile:
 
 
 def _merged(new: Profile, old: Profile | None, robot: Robot) -> Profile:
-    """Return the new profile with the older one's figures of other components.
-
-    Figures of another computer, or of components that no longer exist, are dropped.
-    """
+    """Return the new profile with the older one's figures of other components."""
     if old is None or not _is_of(old, robot, new.computer):
         return new
     names = {c.name for c in robot.components()}

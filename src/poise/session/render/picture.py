@@ -25,10 +25,7 @@ class Hosted(NamedTuple):
 
 
 def picture(shares: Mapping[str, float], hosted: Iterable[Hosted]) -> str:
-    """Return a box for each computer, of share of CPU, with its components as bars.
-
-    A computer that has components and no share, as in a very short run, has a box, too.
-    """
+    """Return a box for each computer, of share of CPU, with its components as bars."""
     placed = sorted(hosted, key=lambda each: (-each.cpu, each.name))
     most = max((each.cpu for each in placed), default=0.0)
     boxes = []
@@ -87,10 +84,7 @@ Point = tuple[float, float]
 
 
 def svg(width: float, height: float, label: str, parts: Iterable[str]) -> str:
-    """Return a picture as wide as there is room, and as words in it need to be read.
-
-    `label` says what it shows.
-    """
+    """Return a picture as wide as there is room; `label` says what it shows."""
     return (
         f'<div style="overflow-x:auto"><svg viewBox="0 0 {width:.0f} {height:.0f}" '
         f'style="min-width:{0.75 * width:.0f}px" role="img" font-size="13" '

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from html import escape
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from poise.manage.journal import JournalEntry
 from poise.session.render.picture import Point, line, svg, text
-from poise.session.run_records import Moment, RunRecord
+from poise.session.run_records import Moment
 from poise.units import counted, format_seconds
+
+if TYPE_CHECKING:
+    from poise.session.run_report import RunReport
 
 _WIDTH, _LEFT, _HEIGHT, _GAP = 960, 130, 56, 14
 """Of the picture, of the names on its left, of a strip, and between strips [pixels]."""
@@ -31,12 +34,8 @@ class Mark(NamedTuple):
     says: str
 
 
-def time_line(report: RunRecord, entries: Mapping[int, JournalEntry]) -> str:
-    """Return CPU and missed deadlines over time, with numbered journal entries.
-
-    Of a computer that no moment has, as in a very short run, the whole run's CPU, if
-    that is known.
-    """
+def time_line(report: RunReport, entries: Mapping[int, JournalEntry]) -> str:
+    """Return CPU and missed deadlines over time, with numbered journal entries."""
     began, moments = report.began, report.history
     end = max(report.seconds, 1.0)
     names = [n for each in moments for n in each.cpu_share]
@@ -181,7 +180,7 @@ pre {{ overflow-x: auto }}
 """
 
 
-def page(report: RunRecord, picture: str, figures: str) -> str:
+def page(report: RunReport, picture: str, figures: str) -> str:
     """Return the page: the verdict, where and when what happened, then all figures."""
     entries = dict(enumerate(_events(report), 1))
     title = f"{report.robot}: {report.task}"
@@ -209,7 +208,7 @@ def document(title: str, body: str) -> str:
     return _PAGE.format(title=escape(title), body=body)
 
 
-def _events(report: RunRecord) -> list[JournalEntry]:
+def _events(report: RunReport) -> list[JournalEntry]:
     """Return what the manager saw and did, and the containers that ended, in turn."""
     faults = [
         JournalEntry(each.at, "wrong", each.message, {}) for each in report.faults
@@ -217,7 +216,7 @@ def _events(report: RunRecord) -> list[JournalEntry]:
     return sorted([*report.journal, *faults], key=lambda each: each.at)
 
 
-def _verdict(report: RunRecord) -> str:
+def _verdict(report: RunReport) -> str:
     if report.invalid:
         return f"✗ invalid run: {report.invalid}"
     if report.failed:
@@ -245,7 +244,7 @@ class _Deadline(NamedTuple):
         return self.missed / self.times if self.times else 0.0
 
 
-def _deadlines(report: RunRecord) -> Iterator[_Deadline]:
+def _deadlines(report: RunReport) -> Iterator[_Deadline]:
     for component in report.components:
         for timer in component.timers:
             if timer.deadline is not None:
@@ -260,7 +259,7 @@ def _deadlines(report: RunRecord) -> Iterator[_Deadline]:
         yield _Deadline(chain.name, chain.deadline, *counts)
 
 
-def _worst(report: RunRecord, entries: Mapping[int, JournalEntry]) -> Iterator[str]:
+def _worst(report: RunReport, entries: Mapping[int, JournalEntry]) -> Iterator[str]:
     """Yield the deadlines that were missed most, and what happened around them."""
     missed = sorted(
         (each for each in _deadlines(report) if each.missed),

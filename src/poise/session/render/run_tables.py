@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 from msgspec import Struct
@@ -24,8 +24,11 @@ from poise.session.render.tables import (
     table,
     task_lines,
 )
-from poise.session.run_records import ComponentReport, RunRecord
+from poise.session.run_records import ComponentReport
 from poise.units import counted, format_seconds
+
+if TYPE_CHECKING:
+    from poise.session.run_report import RunReport
 
 
 class Measured(Struct, frozen=True):
@@ -64,7 +67,7 @@ def _found(simulation: Mapping[str, Any], key: str) -> list[Judgement]:
         return []
 
 
-def report_parts(report: RunRecord) -> Iterator[RenderableType]:
+def report_parts(report: RunReport) -> Iterator[RenderableType]:
     """Yield where the components ran, what they used, and how timers kept up."""
     yield _component_table(report)
     yield from _measure_tables(report)
@@ -83,7 +86,7 @@ def report_parts(report: RunRecord) -> Iterator[RenderableType]:
         yield f"[bold yellow]invalid run:[/] {escape(report.invalid)}"
 
 
-def _world(report: RunRecord) -> Iterator[RenderableType]:
+def _world(report: RunReport) -> Iterator[RenderableType]:
     """Yield what the simulated world judges; without judgements, its plain values."""
     rows = table("in the simulated world", "success", "measured", folds=2)
     for judged in judgements(report.simulation, [task.name for task in report.tasks]):
@@ -101,7 +104,7 @@ def _world(report: RunRecord) -> Iterator[RenderableType]:
         yield f"the simulated world says: {escape(', '.join(plain))}"
 
 
-def _failures(report: RunRecord) -> Iterator[RenderableType]:
+def _failures(report: RunReport) -> Iterator[RenderableType]:
     """Yield what is not as it should be, the worst first."""
     for error in report.errors:
         many = counted(error.count, "error")
@@ -137,7 +140,7 @@ def _failures(report: RunRecord) -> Iterator[RenderableType]:
         yield "[yellow]the run was ended early[/]"
 
 
-def _component_table(report: RunRecord) -> Table:
+def _component_table(report: RunReport) -> Table:
     rows = table(
         "component", "CPU", "timer, period", "missed", "median", "p99", folds=2
     )
@@ -166,7 +169,7 @@ def _add_component(rows: Table, component: ComponentReport) -> None:
         head = ("", "")
 
 
-def _measure_tables(report: RunRecord) -> Iterator[Table]:
+def _measure_tables(report: RunReport) -> Iterator[Table]:
     rows = table("measure", "count", "mean", "median", "p99", "maximum")
     for component in report.components:
         for name, summary in component.measures.items():

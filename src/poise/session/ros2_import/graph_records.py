@@ -92,10 +92,7 @@ class Flow(Struct, frozen=True, kw_only=True):
 
 
 class Topic(Struct, frozen=True, kw_only=True):
-    """A topic, its ends by full node name, and what each publisher sends.
-
-    `unmeasured`: why nothing was measured; empty when it was.
-    """
+    """A topic, its ends by full node name, and what each publisher sends."""
 
     name: str
     type: str
@@ -156,10 +153,7 @@ class Graph(Struct, frozen=True, kw_only=True):
 
 
 class Start(Struct, frozen=True, kw_only=True):
-    """How a process can be started again: as keys of a component.
-
-    `keys` is empty when that is not known; `remarks` are for people.
-    """
+    """How a process can be started again: as keys of a component; none: not known."""
 
     keys: Mapping[str, Any] = {}
     remarks: tuple[str, ...] = ()

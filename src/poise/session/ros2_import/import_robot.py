@@ -149,11 +149,7 @@ _ROOM = 1.25
 
 
 class RobotText:
-    """Writes the robot file.
-
-    `computers`: name -> keys; the one where it was observed comes first. `here`: where
-    the robot will be started.
-    """
+    """Writes the robot file; the computer where it was observed comes first."""
 
     def __init__(
         self,

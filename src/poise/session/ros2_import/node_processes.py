@@ -74,10 +74,7 @@ def _has_ros(folder: Path) -> bool:
 
 
 class ProcessUsage:
-    """What some processes use from now on, each with its child processes.
-
-    A child that is one of them counts by itself.
-    """
+    """What some processes use from now on, each with its other child processes."""
 
     def __init__(self) -> None:
         self.pids: set[int] = set()

@@ -123,12 +123,9 @@ def _end_all(agents: Agents, computers: set[str]) -> list[str]:
 
 
 def _addresses(robot: Robot, *also: Role) -> AgentAddresses:
-    """Return where a robot's agents are, by its file or on computers kept for it.
-
-    `also`: as in `real_agents`.
-    """
+    """Return where a robot's agents are, by its file or on computers kept for it."""
     check_robot(robot)
-    if any(computer.address for computer in robot.computers):
+    if not robot.is_emulated:
         return real_agents(robot, *also)
     kept = set_for(robot)
     if kept is None and robot.name in running_here():
