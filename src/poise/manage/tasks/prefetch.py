@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Mapping
 
 from msgspec import Struct
@@ -30,7 +31,7 @@ class PrefetchPlan(Struct, frozen=True, kw_only=True):
 
     # component -> computer; what the likeliest action needs comes first
     placement: Mapping[str, str]
-    why_not: Mapping[tuple[str, str], str]
+    why_not: Mapping[tuple[str, str], str]  # (action, task) -> why nothing is, for it
 
 
 def choose(
@@ -38,23 +39,16 @@ def choose(
     running: Mapping[str, str],
     likely: Iterable[LikelyAction],
     *,
-    cpu: Mapping[str, float],
+    cpu: Mapping[str, float],  # computer within reach -> CPU to prepare with [cores]
     held: Mapping[str, str],
 ) -> PrefetchPlan:
-    """Return what is to be prepared, the likeliest action first: all of it, or nothing.
-
-    An action for which there is no room is left out, and a less likely one that fits is
-    not. What runs already, or uses an exclusive device that is in use, is prepared for
-    none.
-
-    `cpu`: computer -> CPU that may be used to prepare [cores]; one that is not named is
-    out of reach.
-    """
+    """Return what is to be prepared: of each action that is likely all, or nothing."""
     components = {component.name: component for component in robot.components()}
     left = residue(robot, running)
     for amounts in left.values():
         amounts["memory"] = robot.prefetch.memory * amounts.get("memory", 0.0)
-    in_use = _exclusive_devices(robot, running, components)
+    exclusive = {device.name for device in robot.devices if device.exclusive}
+    in_use = exclusive & {d for name in running for d in components[name].devices}
     placement: dict[str, str] = {}
     why_not: dict[tuple[str, str], str] = {}
     idle = [
@@ -86,14 +80,6 @@ def _held_by(component: ComponentEntry) -> Iterable[tuple[str, float]]:
     return [(r, amount) for r, amount in component.demand.items() if r != "cpu"]
 
 
-def _exclusive_devices(
-    robot: Robot, running: Iterable[str], components: Mapping[str, ComponentEntry]
-) -> set[str]:
-    """Return the devices that only one may use, and one does."""
-    used = {device for name in running for device in components[name].devices}
-    return used & {device.name for device in robot.devices if device.exclusive}
-
-
 def _without_cpu(computers: Collection[str], cpu: Mapping[str, float]) -> str:
     for name in sorted(computers):
         if name not in cpu:
@@ -108,11 +94,10 @@ def _without_room(
     left: Mapping[str, Mapping[str, float]],
     components: Mapping[str, ComponentEntry],
 ) -> str:
-    needed: dict[tuple[str, str], float] = {}
+    needed: dict[tuple[str, str], float] = defaultdict(float)
     for name, computer in wanted.items():
         for resource, amount in _held_by(components[name]):
-            key = computer, resource
-            needed[key] = needed.get(key, 0.0) + amount
+            needed[computer, resource] += amount
     for (computer, resource), amount in needed.items():
         room = left[computer].get(resource, 0.0)
         if not fits(amount, room):
@@ -129,8 +114,13 @@ LOOK_EVERY = 1.0
 TRY_AGAIN = 60.0
 """What could not be prepared is tried again after this time [s]."""
 
-_Key = tuple[str, int]
-"""A component and its epoch."""
+
+class _Preparation(Struct):
+    """A component that is prepared, or waits so."""
+
+    incarnation: Incarnation
+    restarts: int  # of its container, when it began
+    is_ready: bool = False
 
 
 class Prefetcher:
@@ -148,9 +138,7 @@ class Prefetcher:
         self._chosen_for: object = None
         self._backed_off: dict[str, float] = {}
         self._why_not: Mapping[tuple[str, str], str] = {}
-        self._begun: dict[_Key, Incarnation] = {}
-        self._restarts: dict[_Key, int] = {}
-        self._ready: set[_Key] = set()
+        self._begun: dict[tuple[str, int], _Preparation] = {}
         self._memory: dict[tuple[str, str], int] = {}
         self._wasted = 0
 
@@ -174,13 +162,9 @@ class Prefetcher:
         if self._live.robot.prefetch.off:
             likely = ()
         now, placement = self._clock(), self._live.placement()
-        situation = (
-            [*likely],
-            placement,
-            [*self._live.prefetched],
-            self._live.computers(),
-        )
-        if situation == self._chosen_for and now < self._chosen_at + LOOK_EVERY:
+        chosen_for = [*likely], placement, self._live.computers()
+        inputs = *chosen_for, [*self._live.prefetched]
+        if inputs == self._chosen_for and now < self._chosen_at + LOOK_EVERY:
             return
         self._chosen_at = now
         off = {name for name, until in self._backed_off.items() if now < until}
@@ -189,7 +173,7 @@ class Prefetcher:
         held = self._live.prepared()
         choice = choose(self._live.robot, placement, likely, cpu=cpu, held=held)
         self._go_to(choice, likely, cpu)
-        self._chosen_for = [*likely], placement, [*self._live.prefetched], cpu.keys()
+        self._chosen_for = *chosen_for, [*self._live.prefetched]
 
     def _go_to(
         self,
@@ -225,19 +209,15 @@ class Prefetcher:
                 note("decided", text, placement=mine, probability=probability)
         if begins:
             prepare(live, begins, {at: cpu[at] for at in begins.values()})
-        new = (
-            live.prefetched[n] for n in sorted(begins.keys() & live.prefetched.keys())
-        )
-        self._begun |= {incarnation.key: incarnation for incarnation in new}
         restarts = {
             (computer, health.name): health.restarts
             for computer, status in live.agents.statuses().items()
             for health in status.health
         }
-        self._restarts = {
-            key: self._restarts.get(key, restarts.get(self._container(incarnation), 0))
-            for key, incarnation in self._begun.items()
-        }
+        for name in sorted(begins.keys() & live.prefetched.keys()):
+            idle = live.prefetched[name]
+            before = restarts.get(self._container(idle), 0)
+            self._begun.setdefault(idle.key, _Preparation(idle, before))
 
     def _make_idle(
         self, likely: Iterable[LikelyAction], drops: Collection[str]
@@ -248,7 +228,8 @@ class Prefetcher:
         for name, incarnation in live.prefetched.items():
             if not incarnation.gently or name in needed or name in drops:
                 continue
-            if incarnation.key in self._ready:
+            begun = self._begun.get(incarnation.key)
+            if begun is not None and begun.is_ready:
                 ready.append(replace(incarnation, gently=False))
             else:
                 unready.append(name)
@@ -274,13 +255,11 @@ class Prefetcher:
 
     def _note_failures(self) -> None:
         """Drop what cannot be prepared, and say why: its action may still begin."""
-        if not self._begun:
-            return
         live = self._live
         failed = {
             name: why
-            for name, incarnation in live.prefetched.items()
-            if incarnation.key in self._begun and (why := self._failure(incarnation))
+            for name, idle in live.prefetched.items()
+            if (begun := self._begun.get(idle.key)) and (why := self._failure(begun))
         }
         for name, why in failed.items():
             computer = live.prefetched[name].computer
@@ -297,44 +276,40 @@ class Prefetcher:
         if not self._begun and not live.prefetched:
             self._memory = {}
             return
-        here = {idle.key for idle in live.prefetched.values()}
-        at_work = {incarnation.key for incarnation in live.placed.values()}
-        used = {
-            self._container(incarnation)
-            for incarnation in (*live.prefetched.values(), *live.placed.values())
-        }
+        idle = {each.key: each for each in live.prefetched.values()}
+        here = idle | {each.key: each for each in live.placed.values()}
         gone = {
-            self._container(incarnation)
-            for key, incarnation in self._begun.items()
-            if key not in here | at_work
-        }
-        self._wasted += sum(self._memory.get(key, 0) for key in gone - used)
-        self._begun = {key: idle for key, idle in self._begun.items() if key in here}
-        self._ready &= self._begun.keys()
-        statuses, waiting = (
-            live.current(),
-            map(self._container, live.prefetched.values()),
-        )
+            self._container(begun.incarnation)
+            for key, begun in self._begun.items()
+            if key not in here
+        } - {*map(self._container, here.values())}
+        self._wasted += sum(self._memory.get(container, 0) for container in gone)
+        self._begun = {key: begun for key, begun in self._begun.items() if key in idle}
         self._memory = {
-            key: health.memory
-            for key in waiting
-            if key[0] in statuses
-            for health in statuses[key[0]].health
-            if health.name == key[1]
+            self._container(each): health.memory
+            for each in idle.values()
+            if (health := live.health_of(each))
         }
-        idle = [c for c in components_of(statuses) if c.state == "inactive"]
-        ready = [c for c in idle if c.key in self._begun.keys() - self._ready]
+        ready = [
+            component
+            for component in components_of(live.current())
+            if component.state == "inactive"
+            and (begun := self._begun.get(component.key))
+            and not begun.is_ready
+        ]
+        for component in ready:
+            self._begun[component.key].is_ready = True
         if ready:
-            self._ready |= {component.key for component in ready}
             seconds = max(component.start for component in ready)
             names = _list([component.name for component in ready])
             live.journal.note("done", f"{names} prepared within {seconds:.2f} s")
 
-    def _failure(self, idle: Incarnation) -> str:
+    def _failure(self, begun: _Preparation) -> str:
         """Return why something that is prepared fails; empty: it does not."""
-        health, before = self._live.health_of(idle), self._restarts.get(idle.key, 0)
+        idle = begun.incarnation
+        health = self._live.health_of(idle)
         if health is not None and (
-            health.state == "restarting" or health.restarts > before
+            health.state == "restarting" or health.restarts > begun.restarts
         ):
             return health.last_fault.message if health.last_fault else "it ended"
         component = self._live.reported(idle)
