@@ -53,13 +53,13 @@ class Actions:
         self._policies = policies
         self._suspensions = suspensions
         self._limits = limits
+        self._crashed: dict[str, dict[str, float]] = {}
+        """Container -> the computers where it crashed again and again, and when [s]."""
         self._by_name: Mapping[Do, Callable[[Symptom, Situation, float], None]] = {
             "move": self._move,
             "replace": self._replace,
             "restart": self._restart,
-            "restart elsewhere": CrashLoops(
-                live, suspensions, limits
-            ).restart_elsewhere,
+            "restart elsewhere": self._restart_elsewhere,
             "suspend": self._suspend,
         }
 
@@ -127,7 +127,7 @@ class Actions:
     def _restart(self, symptom: Symptom, situation: Situation, _now: float) -> None:
         live = self._live
         if symptom.policy.for_each == "container":
-            components = components_in(live, symptom)
+            components = _components_in(live, symptom)
         else:
             components = [_component(symptom)]
         steps = []
@@ -154,6 +154,75 @@ class Actions:
                 if component.name == _component(symptom) or name == inside:
                     return architecture
         raise UsageError(f"no architecture has '{name}'")
+
+    def _restart_elsewhere(
+        self, symptom: Symptom, situation: Situation, now: float
+    ) -> None:
+        """Restart a container where it has not crashed; else suspend it."""
+        live, container = self._live, symptom.values.name
+        names = _components_in(live, symptom)
+        pinned = _pinned(live.robot)
+        if not names:
+            raise RunError("nothing in it is at work")
+        for name in names:
+            if name in pinned:
+                stays = f"component '{name}' stays on '{symptom.computer}'"
+                goes_on = "its agent keeps restarting it"
+                raise RunError(f"{stays}: {pinned[name]}; {goes_on}")
+        before = _crashed_before(container, situation, now)
+        before |= self._crashed.get(container, {})
+        crashed = {at: when for at, when in before.items() if now - when < FORGET_AFTER}
+        crashed[symptom.computer] = now
+        self._crashed[container] = crashed
+        while where := room_for_components(situation, names, crashed):
+            steps = [
+                TransitionStep(name, situation.placement[name], at)
+                for name, at in where.items()
+            ]
+            self._limits.note(steps, now)
+            if start_together(live, where, situation.lost):
+                return
+            if lost := set(where.values()) - live.computers():
+                away = named("computer", sorted(lost))
+                raise RunError(f"{away} went out of reach in the meantime")
+            crashed |= dict.fromkeys(where.values(), now)
+        del self._crashed[container]
+        self._suspend_crashed(names, symptom, situation, sorted(crashed), now)
+
+    def _suspend_crashed(
+        self,
+        names: list[str],
+        symptom: Symptom,
+        situation: Situation,
+        crashed: list[str],
+        now: float,
+    ) -> None:
+        """Suspend an architecture for good, and say what happened and the way out."""
+        computers = " and ".join(f"'{computer}'" for computer in crashed)
+        container = symptom.values.name
+        health = situation.statuses[symptom.computer].health
+        here = next((h for h in health if h.name == container), None)
+        if here and here.state == "restarting" and here.reason:
+            # what its computer lacks may be there again at any moment
+            raise RunError("no other computer has room for it; its agent keeps trying")
+        fault = here.last_fault if here else None
+        way_out = "it is resumed when its code changes, or by `poise balance`"
+        said = f" (the last time: {fault.message})" if fault else ""
+        why = f"container '{container}' crashes again and again on {computers}{said}"
+        architecture = self._live.robot.architecture_of(names[0])
+        self._suspensions.quarantine(architecture.name)
+        is_there = any(c.name in self._live.placed for c in architecture.components)
+        # else the last try to start it ended so
+        put = (
+            self._suspensions.suspend if is_there else self._suspensions.note_suspended
+        )
+        put([architecture.name], f"{why}; {way_out}", now)
+
+
+CRASHES = 5
+"""So many faults are a crash loop, as the policy says."""
+FORGET_AFTER = 600.0
+"""A container that has not crashed for so long [s] may return where it did."""
 
 
 def _raise_on_failure(report: MigrationReport | TransitionReport) -> None:
@@ -189,88 +258,6 @@ def _lowest(situation: Situation, computer: str) -> Architecture:
     return lowest
 
 
-CRASHES = 5
-"""So many faults are a crash loop, as the policy says."""
-FORGET_AFTER = 600.0
-"""A container that has not crashed for so long [s] may return where it did."""
-
-
-class CrashLoops:
-    """Where containers crashed again and again, and what is done about it."""
-
-    def __init__(
-        self, live: LiveRobot, suspensions: Suspensions, limits: MoveLimits
-    ) -> None:
-        self._live = live
-        self._suspensions = suspensions
-        self._limits = limits
-        self._crashed: dict[str, dict[str, float]] = {}
-
-    def restart_elsewhere(
-        self, symptom: Symptom, situation: Situation, now: float
-    ) -> None:
-        """Restart a container where it has not crashed; else suspend it."""
-        live, container = self._live, symptom.values.name
-        names = components_in(live, symptom)
-        pinned = _pinned(live.robot)
-        if not names:
-            raise RunError("nothing in it is at work")
-        for name in names:
-            if name in pinned:
-                stays = f"component '{name}' stays on '{symptom.computer}'"
-                goes_on = "its agent keeps restarting it"
-                raise RunError(f"{stays}: {pinned[name]}; {goes_on}")
-        before = _crashed_before(container, situation, now) | self._crashed.get(
-            container, {}
-        )
-        crashed = {at: when for at, when in before.items() if now - when < FORGET_AFTER}
-        crashed[symptom.computer] = now
-        self._crashed[container] = crashed
-        while where := room_for_components(situation, names, crashed):
-            steps = [
-                TransitionStep(name, situation.placement[name], at)
-                for name, at in where.items()
-            ]
-            self._limits.note(steps, now)
-            if start_together(live, where, situation.lost):
-                return
-            if lost := set(where.values()) - live.computers():
-                away = named("computer", sorted(lost))
-                raise RunError(f"{away} went out of reach in the meantime")
-            crashed |= dict.fromkeys(where.values(), now)
-        del self._crashed[container]
-        self._suspend(names, symptom, situation, sorted(crashed), now)
-
-    def _suspend(
-        self,
-        names: list[str],
-        symptom: Symptom,
-        situation: Situation,
-        crashed: list[str],
-        now: float,
-    ) -> None:
-        """Suspend an architecture for good, and say what happened and the way out."""
-        computers = " and ".join(f"'{computer}'" for computer in crashed)
-        container = symptom.values.name
-        health = situation.statuses[symptom.computer].health
-        here = next((h for h in health if h.name == container), None)
-        if here and here.state == "restarting" and here.reason:
-            # what its computer lacks may be there again at any moment
-            raise RunError("no other computer has room for it; its agent keeps trying")
-        fault = here.last_fault if here else None
-        way_out = "it is resumed when its code changes, or by `poise balance`"
-        said = f" (the last time: {fault.message})" if fault else ""
-        why = f"container '{container}' crashes again and again on {computers}{said}"
-        architecture = self._live.robot.architecture_of(names[0])
-        self._suspensions.quarantine(architecture.name)
-        is_there = any(c.name in self._live.placed for c in architecture.components)
-        # else the last try to start it ended so
-        put = (
-            self._suspensions.suspend if is_there else self._suspensions.note_suspended
-        )
-        put([architecture.name], f"{why}; {way_out}", now)
-
-
 def _crashed_before(
     container: str, situation: Situation, now: float
 ) -> dict[str, float]:
@@ -287,7 +274,7 @@ def _crashed_before(
     return crashed
 
 
-def components_in(live: LiveRobot, symptom: Symptom) -> list[str]:
+def _components_in(live: LiveRobot, symptom: Symptom) -> list[str]:
     """Return the components of the container that a symptom is about.
 
     Not those that are held: they may be at work elsewhere.
