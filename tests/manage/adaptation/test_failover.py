@@ -114,7 +114,6 @@ def test_what_cannot_move_now_makes_no_room(situation: Make, two: Robot) -> None
     robot = with_memory(robot, {"left": 9, "right": 9, "small": 5}, {"a": 8, "b": 5})
     found = plan_failover(situation(APART, robot=robot), {"left"}, stuck={"b"})
     assert not found.placement
-    assert found.waits_for_room
 
 
 def with_memory(
@@ -211,7 +210,6 @@ def test_of_what_does_not_fit_whole_architectures_are_dropped_by_priority(
     assert found.missing["b"].startswith(
         "it fits nowhere beside the running components: "
     )
-    assert found.waits_for_room
 
 
 def test_what_belongs_to_another_layer_is_missing(situation: Make, two: Robot) -> None:
@@ -222,4 +220,3 @@ def test_what_belongs_to_another_layer_is_missing(situation: Make, two: Robot) -
     assert set(found.missing.values()) == {
         "it belongs to the reactive layer, which stays"
     }
-    assert not found.waits_for_room

@@ -266,18 +266,17 @@ def test_where_a_step_fails_none_follows_and_all_is_tried_again_later(
     assert rig.did == 2 * did
 
 
-@pytest.mark.parametrize("waits", [True, False])
-def test_what_is_missing_is_said_once_and_tried_again_where_room_may_come(
-    monkeypatch: pytest.MonkeyPatch, *, waits: bool
+def test_what_is_missing_is_said_once_and_tried_again(
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     missing = {"high": "it is full", "low": "it is full"}
-    plan = FailoverPlan(placement={}, missing=missing, waits_for_room=waits)
+    plan = FailoverPlan(placement={}, missing=missing)
     rig = FailingOver(monkeypatch, plan)
     for now in (0.0, 4.9):
         assert not rig.look(now)
         assert rig.planned == 1
     assert not rig.look(5.0)
-    assert rig.planned == 1 + waits
+    assert rig.planned == 2
     assert len(rig.said()) == 2
     assert rig.said()[0] == "component 'high' of 'left' is missing: it is full"
 

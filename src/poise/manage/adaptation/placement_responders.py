@@ -41,8 +41,7 @@ class FailoverPlan(Struct, frozen=True, kw_only=True):
     """What becomes of the components of lost computers."""
 
     placement: Mapping[str, str]  # component -> the computer where it restarts
-    missing: Mapping[str, str]
-    waits_for_room: bool = False
+    missing: Mapping[str, str]  # component -> why it does not
     suspended: tuple[str, ...] = ()
     steps: tuple[TransitionStep, ...] = ()  # moves of what works that make room before
 
@@ -57,7 +56,7 @@ class FailoverResponder:
         self._suspensions = suspensions
         self._limits = MoveLimits()
         self._missing: set[str] = set()
-        self._tries_again = float("inf")
+        self._try_at = 0.0
 
     def respond(self, situation: Situation, desired: Desired) -> Change | None:
         """Return where components restart, and what makes room for them."""
@@ -69,14 +68,11 @@ class FailoverResponder:
             return None
         stranded = {n for n, c in situation.placement.items() if c in lost}
         self._missing &= stranded
-        if stranded <= self._missing and now < self._tries_again:
+        if not stranded or (stranded <= self._missing and now < self._try_at):
             return None
-        stuck = stuck_components(self._live)
-        failover = plan_failover(situation, lost, stuck)
+        failover = plan_failover(situation, lost, stuck_components(self._live))
         before, self._missing = self._missing, set(failover.missing)
-        self._tries_again = (
-            now + _ROOM_EVERY if failover.waits_for_room else float("inf")
-        )
+        self._try_at = now + _ROOM_EVERY
         for name, why in sorted(failover.missing.items()):
             if name not in before:
                 where = desired.placed[name].computer
@@ -84,8 +80,10 @@ class FailoverResponder:
                 self._live.journal.note("wrong", what)
         if not failover.placement:
             return None
+        restart = sorted(failover.placement.items())
+        where = ", ".join(f"'{name}' on '{at}'" for name, at in restart)
         return Change(
-            why=_sentence(failover.placement),
+            why=f"components of a lost computer restart: {where}",
             facts={"placement": failover.placement, "moves": failover.steps},
             carry_out=partial(self._restart, failover, lost, now),
         )
@@ -93,21 +91,15 @@ class FailoverResponder:
     def _restart(
         self, failover: FailoverPlan, lost: Collection[str], now: float
     ) -> None:
-        if failover.suspended:
-            why = "components of a lost computer that have a higher priority need room"
-            if not self._suspensions.suspend(failover.suspended, why, now):
-                self._limits.start_backoff(now, dict.fromkeys(lost, 1.0))
-                return
-        is_room = not failover.steps or transit(self._live, failover.steps).committed
-        if is_room and start_together(self._live, failover.placement, lost):
+        why = "components of a lost computer that have a higher priority need room"
+        if (
+            self._suspensions.suspend(failover.suspended, why, now)
+            and (not failover.steps or transit(self._live, failover.steps).committed)
+            and start_together(self._live, failover.placement, lost)
+        ):
             self._limits.reset_backoff()
         else:
             self._limits.start_backoff(now, dict.fromkeys(lost, 1.0))
-
-
-def _sentence(placement: Mapping[str, str]) -> str:
-    where = ", ".join(f"'{c}' on '{at}'" for c, at in sorted(placement.items()))
-    return f"components of a lost computer restart: {where}"
 
 
 def plan_failover(
@@ -188,12 +180,7 @@ def _by_priority(
             explain(result)
             why = f"it fits nowhere beside the running components: {result.reason}"
             missing |= dict.fromkeys(names, why)
-    return FailoverPlan(
-        placement=placement,
-        missing=missing,
-        suspended=suspended,
-        waits_for_room=not missing.keys().isdisjoint(stranded),
-    )
+    return FailoverPlan(placement=placement, missing=missing, suspended=suspended)
 
 
 def _more_and_more(
@@ -236,17 +223,9 @@ class Transitions:
         self.limits = MoveLimits()
         self.downtimes: dict[str, float] = {}
         self.loss = LossSuffered()
-        self._policies = policies
+        self.policies = policies
         self._suspensions = suspensions
         self._clock = clock
-
-    def due(self, symptoms: tuple[Symptom, ...], now: float) -> tuple[Symptom, ...]:
-        """Return the symptoms about which something may be done now."""
-        return self._policies.due(symptoms, now)
-
-    def began(self, symptoms: tuple[Symptom, ...], now: float) -> float:
-        """Return when the first of the symptoms was seen first."""
-        return min(self._policies.since.get(symptom.key, now) for symptom in symptoms)
 
     def carry_out(self, steps: tuple[TransitionStep, ...]) -> TransitionReport:
         """Take the steps, and remember that: it may take longer than to settle."""
@@ -274,7 +253,7 @@ class Transitions:
 
     def _act(self, decision: Decision, due: tuple[Symptom, ...], now: float) -> None:
         proposal = decision.proposal
-        self._policies.note_acted(due, now)
+        self.policies.note_acted(due, now)
         try:
             report = self.carry_out(proposal.steps if proposal else ())
         finally:
@@ -304,36 +283,35 @@ class ReplanResponder:
 
     def respond(self, situation: Situation, _desired: Desired) -> Change | None:
         """Return the transition to a better placement, if that is worth it."""
-        limits, now = self._transitions.limits, situation.now
+        transitions, now = self._transitions, situation.now
+        limits, loss = transitions.limits, transitions.loss
         bad = situation.about("replan")
-        self._said = {
-            symptom.key: self._said.get(symptom.key, "")
-            for symptom in situation.symptoms
-        }
+        said = self._said
+        self._said = {s.key: said.get(s.key, "") for s in situation.symptoms}
         if not bad:
             limits.reset_backoff()
-            self._transitions.loss.end(now)
+            loss.end(now)
             return None
         links = (s.values.name for s in bad if s.policy.for_each == "link")
         situation = replace(situation, bad_links=frozenset(links))
-        due = self._transitions.due(bad, now)
+        due = transitions.policies.due(bad, now)
         if (
             not due
             or now < self._think_at
             or limits.is_backing_off(now, situation.amounts())
         ):
             return None
-        began = self._transitions.began(bad, now)
-        loss = self._transitions.loss
+        since = transitions.policies.since
+        began = min(since.get(symptom.key, now) for symptom in bad)
         horizon = max(HORIZON, loss.lasts(began, now))
         decision = decide(situation, horizon=horizon, doubt=loss.doubt)
         loss.judge(decision.undone, now)
         loss.note(decision.gain if decision.acts else 0.0, began, now)
-        why_not = self._transitions.why_not(decision, now)
+        why_not = transitions.why_not(decision, now)
         if not why_not:
             earned_at = loss.earned_at(loss.doubt * decision.cost, now)
             if earned_at <= now:
-                return self._transitions.change(decision, due, situation)
+                return transitions.change(decision, due, situation)
             self._think_at = min(earned_at, now + _THINK_EVERY)
             return None
         limits.start_backoff(now, situation.amounts())
@@ -379,12 +357,9 @@ class UseAgainResponder:
             del self._back[name]
         decision = decide(situation)
         why_not = self._transitions.why_not(decision, now)
-        is_better = decision.acts or decision.proposal is not None
-        why = (
-            decision.why
-            if is_better
-            else "every running component has the CPU that it needs"
-        )
+        why = "every running component has the CPU that it needs"
+        if decision.acts or decision.proposal is not None:
+            why = decision.why
         names = " and ".join(f"'{name}'" for name in back)
         note = self._transitions.live.journal.note
         note("seen", f"{names} may be used again; {why}")
