@@ -22,7 +22,7 @@ def test_a_disk_that_does_not_answer_delays_nobody_and_is_said(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(background_file, "_SLOW_AFTER", 0.0)
-    monkeypatch.setattr(background_file, "_CLOSE_LIMIT", 0.0)
+    monkeypatch.setattr(BackgroundFile, "close_limit", 0.0)
     path = tmp_path / "x"
     os.mkfifo(path)  # to open it waits for a reader
     file = BackgroundFile(path, "the file", "line", most=20)
@@ -41,7 +41,7 @@ def test_a_disk_that_does_not_answer_delays_nobody_and_is_said(
 def test_closing_does_not_wait_for_a_disk_that_does_not_answer(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(background_file, "_CLOSE_LIMIT", 0.01)
+    monkeypatch.setattr(BackgroundFile, "close_limit", 0.01)
     path = tmp_path / "x"
     os.mkfifo(path)
     file = BackgroundFile(path, "the file", "line", most=20)

@@ -22,9 +22,6 @@ _SLOW_AFTER = 2.0
 """A disk that has not answered for this time [s] is said to be the trouble."""
 _MOST_AT_ONCE = 1 << 20
 """At least one record, and up to so much, is written at once [bytes]."""
-_CLOSE_LIMIT = 2.0
-
-
 T = TypeVar("T")
 
 
@@ -36,8 +33,8 @@ class BackgroundWriter(Generic[T]):
     [s].
     """
 
-    close_limit: float | None = None
-    """What waits is written within this time at the end [s]; None: 2."""
+    close_limit = 2.0
+    """What waits is written within this time at the end [s]."""
 
     def __init__(
         self, path: Path, name: str, unit: str, *, most: int, every: float = 0.0
@@ -97,8 +94,7 @@ class BackgroundWriter(Generic[T]):
             self._is_closing = True
             self._changed.notify_all()
         if self._thread.is_alive():
-            limit = self.close_limit
-            self._thread.join(_CLOSE_LIMIT if limit is None else limit)
+            self._thread.join(self.close_limit)
         with self._changed:
             self.missing += len(self._waiting)
             self._waiting.clear()
@@ -115,8 +111,10 @@ class BackgroundWriter(Generic[T]):
                 self.write(records)
             except (OSError, RunError) as error:
                 self._note(str(getattr(error, "strerror", "") or error))
-                if not self._wait_to_retry():
-                    break
+                with self._changed:
+                    if self._is_closing:
+                        break
+                    self._changed.wait_for(lambda: self._is_closing, _RETRY_AFTER)
             finally:
                 self._began = None
         try:
@@ -140,14 +138,6 @@ class BackgroundWriter(Generic[T]):
                 records.append(record)
                 total += size
             return records
-
-    def _wait_to_retry(self) -> bool:
-        """Wait a moment; return whether to try once more."""
-        with self._changed:
-            if self._is_closing:
-                return False
-            self._changed.wait_for(lambda: self._is_closing, _RETRY_AFTER)
-            return True
 
     def _note(self, error: str) -> None:
         with self._changed:
@@ -191,17 +181,8 @@ class BackgroundFile(BackgroundWriter[bytes]):
         self.put(record, len(record))
 
     def write(self, records: Sequence[bytes]) -> None:
-        """Append records."""
-        self._append(b"".join(records))
-        self.note_written(len(records))
-
-    def end(self) -> None:
-        """Close the file."""
-        if self._fd >= 0:
-            os.close(self._fd)
-
-    def _append(self, data: bytes) -> None:
-        """Write all of it, or raise OSError and leave the file as it was."""
+        """Append all records, or raise OSError and leave the file as it was."""
+        data = b"".join(records)
         fd = self._opened()
         size = os.fstat(fd).st_size
         if self._largest and size and size + len(data) > self._largest:
@@ -213,6 +194,12 @@ class BackgroundFile(BackgroundWriter[bytes]):
             if os.fstat(fd).st_size == size + done:
                 os.ftruncate(fd, size)
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        self.note_written(len(records))
+
+    def end(self) -> None:
+        """Close the file."""
+        if self._fd >= 0:
+            os.close(self._fd)
 
     def _opened(self) -> int:
         """Return the file, unless another one has its name by now."""

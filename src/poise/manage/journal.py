@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, BinaryIO, Literal, get_args
+from typing import Any, Literal, get_args
 
 import msgspec
 from msgspec import Struct
@@ -268,23 +269,8 @@ def _ends_amid_a_line(path: Path) -> bool:
 def _last_number(path: Path) -> int:
     """Return the number of a journal's last entry; 0: it has none that can be read."""
     for candidate in (path, *numbered(path, FILES)[:1]):
-        try:
-            with candidate.open("rb") as file:
-                entry = _last_entry(file, candidate.stat().st_size)
-        except OSError:
-            continue
-        if entry is not None:
-            return entry.number
+        with contextlib.suppress(OSError):
+            lines = reversed(candidate.read_bytes().split(b"\n"))
+            if (entry := next(filter(None, map(_parsed, lines)), None)) is not None:
+                return entry.number
     return 0
-
-
-def _last_entry(file: BinaryIO, size: int) -> JournalEntry | None:
-    """Return the last entry of a file of `size` bytes that can be read."""
-    tail = _TAIL
-    while True:
-        file.seek(max(0, size - tail))
-        lines = file.read().split(b"\n")
-        found = filter(None, map(_parsed, reversed(lines)))
-        if (entry := next(found, None)) is not None or tail >= size:
-            return entry
-        tail *= 4  # an entry may be as long
