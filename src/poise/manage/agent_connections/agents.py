@@ -25,6 +25,7 @@ from poise.manage.agent_connections.requests import (
     AgentRequests,
     PendingAnswer,
     keep_limit,
+    reason_of,
     why_not_kept,
 )
 from poise.priority import before_components
@@ -37,6 +38,7 @@ from poise.wire.control_session import (
 from poise.wire.heartbeats import (
     SURELY_ENDED,
     UNCUT_SURELY_ENDED,
+    Contacts,
     Datagrams,
     UdpDatagrams,
 )
@@ -108,8 +110,7 @@ class Agents(AgentReports):
         )
         heard = endpoints if is_leased else {}
         self.heartbeats = AgentHeartbeats(
-            robot,
-            self.manager.key,
+            Contacts(robot, MANAGER, self.manager.key),
             heard,
             clock,
             self.on_silent,
@@ -246,11 +247,10 @@ class Agents(AgentReports):
             answer = self._claim(computer, take_over=take_over)
             if self.is_leased:
                 self.heartbeats.start()
-            if isinstance(answer, Claimed):
-                if take_over:  # also what is out of reach may be claimed then
-                    self._note_signs(self._endpoints.keys() - self.reached(), [answer])
-                if answer.deployment is not None:
-                    deployments[computer] = answer.deployment
+            if take_over:  # also what is out of reach may be claimed then
+                self._note_signs(self._endpoints.keys() - self.reached(), [answer])
+            if answer.deployment is not None:
+                deployments[computer] = answer.deployment
             self.wait_news(
                 lambda c=computer: self.obey(c),  # type: ignore[misc]
                 ANSWER_LIMIT,
@@ -266,31 +266,17 @@ class Agents(AgentReports):
         """
         self._claims.begin_term(self.statuses().values())
         votes = self._claims.votes
-
-        def claimed(computers: Collection[str], *, is_poll: bool) -> dict[str, Claimed]:
-            claims: dict[str, Request] = {}
-            for name in sorted(computers):
-                claim = self._new_claim(name, take_over=take_over)
-                claims[name] = replace(claim, is_poll=is_poll)
-            answers = self.request_all(claims, _VOTE_LIMIT)
-            accepted = {n: a for n, a in answers.items() if isinstance(a, Claimed)}
-            if not self._claims.has_majority(accepted):
-                refused = {n: a for n, a in answers.items() if isinstance(a, Refused)}
-                said = sorted({answer.reason for answer in refused.values()})
-                silent = [name for name, answer in answers.items() if answer is None]
-                said += [f"no answer: {', '.join(sorted(silent))}"] if silent else []
-                away = sorted(votes.keys() - self.reached())
-                said += [f"not reached: {', '.join(away)}"] if away else []
-                text = f"no majority of votes: {'; '.join(said)}"
-                led = [n for n, answer in refused.items() if answer.obeys_another]
-                is_led = self._claims.has_majority(led)
-                raise AlreadyManaged(text) if is_led else RunError(text)
-            return accepted
-
-        agreed = self._poll(
-            lambda: claimed(self.reached() & votes.keys(), is_poll=True)
-        )
-        answers = claimed(agreed.keys(), is_poll=False)
+        until = self._clock.now() + _VOTE_LIMIT
+        while True:
+            asked = self.reached() & votes.keys()
+            try:
+                agreed = self._ask_votes(asked, is_poll=True, take_over=take_over)
+                break
+            except RunError:  # some agents hear for a moment longer who led
+                if self._clock.now() >= until:
+                    raise
+            self._clock.sleep(LOOK_EVERY)
+        answers = self._ask_votes(agreed, is_poll=False, take_over=take_over)
         for name, answer in answers.items():
             self._claims.accept(name, answer)
         self.heartbeats.start()
@@ -324,16 +310,28 @@ class Agents(AgentReports):
             f"{', '.join(silent)} (does a firewall let them through, both ways?)"
         )
 
-    def _poll(self, poll: Callable[[], dict[str, Claimed]]) -> dict[str, Claimed]:
-        """Ask until a majority agrees; some agents hear for a moment longer who led."""
-        until = self._clock.now() + _VOTE_LIMIT
-        while True:
-            try:
-                return poll()
-            except RunError:
-                if self._clock.now() >= until:
-                    raise
-            self._clock.sleep(LOOK_EVERY)
+    def _ask_votes(
+        self, computers: Iterable[str], *, is_poll: bool, take_over: bool
+    ) -> dict[str, Claimed]:
+        """Return the answers of agents that accept this manager; raises as `elect`."""
+        claims: dict[str, Request] = {}
+        for name in sorted(computers):
+            claim = self._new_claim(name, take_over=take_over)
+            claims[name] = replace(claim, is_poll=is_poll)
+        answers = self.request_all(claims, _VOTE_LIMIT)
+        accepted = {n: a for n, a in answers.items() if isinstance(a, Claimed)}
+        if self._claims.has_majority(accepted):
+            return accepted
+        refused = {n: a for n, a in answers.items() if isinstance(a, Refused)}
+        said = sorted({answer.reason for answer in refused.values()})
+        silent = [name for name, answer in answers.items() if answer is None]
+        said += [f"no answer: {', '.join(sorted(silent))}"] if silent else []
+        away = sorted(self._claims.votes.keys() - self.reached())
+        said += [f"not reached: {', '.join(away)}"] if away else []
+        text = f"no majority of votes: {'; '.join(said)}"
+        led = [n for n, answer in refused.items() if answer.obeys_another]
+        is_led = self._claims.has_majority(led)
+        raise AlreadyManaged(text) if is_led else RunError(text)
 
     def has_stored(self, generation: int) -> bool:
         """Return whether a majority has stored a commit; so it does without votes."""
@@ -351,7 +349,7 @@ class Agents(AgentReports):
             return ""
         return f"no majority of agents has heard it for {_UNCONFIRMED:g} s"
 
-    def _claim(self, computer: str, *, take_over: bool) -> Answer:
+    def _claim(self, computer: str, *, take_over: bool) -> Claimed:
         """Claim an agent; one that was cut off learns late that its manager ended."""
         if not self.wait_news(lambda: computer in self.statuses(), SEND_LIMIT):
             raise RunError(f"the agent of '{computer}' has not reported yet")
@@ -362,16 +360,20 @@ class Agents(AgentReports):
         until = self._clock.now() + (_LATE if is_late else 0.0)
         while True:
             claim = self._new_claim(computer, take_over=take_over)
-            answers, refusals = self._requests.send({computer: claim})
-            if not refusals:
-                self._claims.accept(computer, answers[computer])
-                return answers[computer]
+            answer = self._requests.send(computer, claim)
+            if isinstance(answer, Claimed):
+                self._claims.accept(computer, answer)
+                return answer
             if self._clock.now() >= until:
-                answer = answers.get(computer)
-                is_led = isinstance(answer, Refused) and answer.obeys_another
-                error = AlreadyManaged if is_led else RunError
-                raise error(refusals[computer])
+                break
             self._clock.sleep(LOOK_EVERY)
+        if answer is None:
+            why = self._requests.why_silent(computer, SEND_LIMIT, LOSS_DELAY)
+        else:
+            why = f"refused: {reason_of(answer)}"
+        is_led = isinstance(answer, Refused) and answer.obeys_another
+        error = AlreadyManaged if is_led else RunError
+        raise error(f"the agent of '{computer}' {why}")
 
     def begin_claim(self, computer: str) -> PendingAnswer:
         """Ask an agent to obey this manager; do not wait for its answer."""

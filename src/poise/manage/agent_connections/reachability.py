@@ -62,41 +62,183 @@ class _Agent(NamedTuple):
     any: _Silence
 
 
-class Reachability:
-    """Which agents the manager hears, itself or by way of other agents.
+class AgentHeartbeats:
+    """Exchanges heartbeats with agents, and says which it hears; any thread may ask.
 
     An agent of which no heartbeat answered one of the manager is not judged: datagrams
     may not get through. What it runs stops some time after it has ended.
 
-    `surely_ended`: an agent's lease has ended when it was silent, or gone, for this
-    time [s].
+    `surely_ended`: the lease of an agent that is silent, or has ended, has ended, too,
+    after this time [s]; `datagrams`: what carries heartbeats.
     """
 
     def __init__(
-        self, contacts: Contacts, surely_ended: float, votes: Mapping[str, int] = {}
+        self,
+        contacts: Contacts,
+        endpoints: Mapping[str, str],
+        clock: Clock,
+        on_silent: Callable[[list[str]], object],
+        surely_ended: float,
+        datagrams: Datagrams,
+        *,
+        votes: Mapping[str, int] = {},
     ) -> None:
         self._contacts = contacts
+        self._clock = clock
+        self._on_silent = on_silent
+        self._surely_ended = surely_ended
         self._votes = votes
+        self._silent: set[str] = set()
+        self._revoked: dict[str, int] = {}
+        self._lock = threading.RLock()
         self._slept = time_asleep()
         self._woke_at = -inf
-        self.unconfirmed = 0.0
-        """For how long it has not led, of the time that counts [s]."""
-        self._surely_ended = surely_ended
+        self._unconfirmed = 0.0
         self._ended_at: dict[str, float] = {}
         self._agents: dict[str, _Agent] = {}
         self._looked_at: float | None = None
+        where = {name: endpoint_of(text) for name, text in endpoints.items()}
+        self._computers = tuple(where)
+        self._heartbeats = Heartbeats(clock, self._hear, self.next_beat, datagrams)
+        self._heartbeats.send_to({n: (e.host, e.port) for n, e in where.items()})
+        self._has_begun = False
+
+    def start(self) -> None:
+        """Begin; harmless when repeated."""
+        if not self._has_begun:
+            self._has_begun = True
+            self._heartbeats.start()
+
+    def close(self) -> None:
+        """End."""
+        self._heartbeats.close()
 
     def forget(self, computer: str) -> None:
         """Know nothing of an agent, until it is heard again: it may be another one."""
-        self._contacts.forget(computer)
-        self._agents.pop(computer, None)
-        self._ended_at.pop(computer, None)
+        with self._lock:
+            self._contacts.forget(computer)
+            self._agents.pop(computer, None)
+            self._ended_at.pop(computer, None)
+            self._silent.discard(computer)
 
-    def note_ended(self, computer: str, now: float) -> None:
-        """Note that an agent is gone since `now` [s], or later, as others say."""
-        self._ended_at[computer] = max(now, self._ended_at.get(computer, -inf))
+    def note_ended(self, computer: str, ago: float = 0.0) -> None:
+        """Note that an agent is gone for this time [s], or less, or is missing."""
+        with self._lock:
+            ended_at = self._ended_at.get(computer, -inf)
+            self._ended_at[computer] = max(self._clock.now() - ago, ended_at)
 
-    def confirmed_at(self, now: float) -> float:
+    def leads(self) -> bool:
+        """Return whether a majority obeyed this manager a moment before."""
+        with self._lock:
+            now = self._clock.now()
+            return now - self._confirmed_at(now) < LEASE
+
+    def unconfirmed(self) -> float:
+        """Return for how long it has not led, of the time that counts [s]."""
+        with self._lock:
+            return self._unconfirmed
+
+    def answers(self, computer: str) -> bool:
+        """Return whether an agent has answered any heartbeat."""
+        with self._lock:
+            contact = self._contacts.get(computer)
+            return contact is not None and contact.acked is not None
+
+    def is_heard(self, computer: str) -> bool:
+        """Return whether an agent still exchanges heartbeats that seemed to be gone.
+
+        So only its connection is cut, and its lease lasts.
+        """
+        with self._lock:
+            agent, contact = self._agents.get(computer), self._contacts.get(computer)
+            ended_at = self._ended_at.get(computer)
+            if agent is None or contact is None or ended_at is None:
+                return False
+            is_later = agent.direct.last - ended_at > _LATER
+            is_silent = agent.direct.seconds >= UNHEARD_AFTER
+            return is_later and not is_silent and not contact.last.is_cut_off
+
+    def heard_by(self, computer: str) -> str:
+        """Return another agent that hears this one; empty when none does."""
+        with self._lock:
+            now = self._clock.now()
+            agent = self._agents.get(computer)
+            relayed = self._contacts.relayed(computer, now)
+            if relayed is None:
+                return ""
+            other, at = relayed
+            if agent is None:  # it is not judged
+                last, silent = self._ended_at.get(computer, now), now - at
+            else:
+                last, silent = agent.direct.last, agent.any.seconds
+            return other if silent < UNHEARD_AFTER and at - last > _LATER else ""
+
+    def is_sure(self, computer: str) -> bool:
+        """Return whether an agent was heard just now and its lease holds."""
+        with self._lock:
+            return computer not in self._doubted() and not self.is_cut_off(computer)
+
+    def is_cut_off(self, computer: str) -> bool:
+        """Return whether an agent said last that its lease has ended."""
+        with self._lock:
+            contact = self._contacts.get(computer)
+            return contact is not None and contact.last.is_cut_off
+
+    def have_leases_ended(self, computers: Collection[str]) -> bool:
+        """Return whether the leases of lost computers have surely ended."""
+        with self._lock:
+            now = self._clock.now()
+            # what other agents hear of it later is not known
+            known_until = self._confirmed_at(now)
+            if known_until <= now - LEASE:
+                return False
+            return all(
+                self._agents[name].any.seconds - (now - known_until)
+                >= self._surely_ended
+                if name in self._agents
+                else now - self._last_sign(name, now) >= self._surely_ended
+                for name in computers
+            )
+
+    def revoke(self, tokens: Mapping[str, int]) -> bool:
+        """Revoke fencing tokens of computers whose leases have surely ended."""
+        with self._lock:
+            have_ended = self.have_leases_ended(tokens.keys())
+            if have_ended:
+                self._revoked |= tokens
+            return have_ended
+
+    def next_beat(self) -> tuple[Heartbeat, float]:
+        """Judge all agents; return what to send, and when to do so again [s].
+
+        All that came was taken in before.
+        """
+        now = self._clock.now()
+        with self._lock:
+            self._measure(now)
+            silent = {
+                name
+                for name, agent in self._agents.items()
+                if agent.direct.seconds >= UNHEARD_AFTER
+            }
+            has_changed, self._silent = silent != self._silent, silent
+            ago, asks = now - self._confirmed_at(now), self._doubted()
+            beat = self._contacts.next_beat(
+                now,
+                managed=ago if ago < inf else None,
+                asks=asks,
+                revoked=dict(self._revoked),
+            )
+        if has_changed:
+            self._on_silent(sorted(silent))
+        return beat, ASK_EVERY if asks else EVERY
+
+    def _hear(self, received: Sequence[Received]) -> bool:
+        with self._lock:
+            news = [b for b, _, at in received if self._contacts.note(b, at)]
+        return any(MANAGER in beat.asks for beat in news)
+
+    def _confirmed_at(self, now: float) -> float:
         """Return when this manager led for sure, at the latest [s]; else -inf.
 
         Agents with a majority of the votes have heard what it sent then, and obey it.
@@ -113,16 +255,15 @@ class Reachability:
         }
         return majority_at(self._votes, acked)
 
-    def measure(self, computers: Collection[str], now: float) -> None:
-        """Judge all agents at `now` [s], when all that came was taken in."""
+    def _measure(self, now: float) -> None:
         last = now if self._looked_at is None else self._looked_at
         counted, self._looked_at = min(now - last, _STALLED), now
         slept = time_asleep()
         if slept > self._slept + _NAP:  # another may lead since, and no clock ran
             self._slept, self._woke_at = slept, now
-        leads = now - self.confirmed_at(now) < LEASE
-        self.unconfirmed = 0.0 if leads else self.unconfirmed + counted
-        for name in computers:
+        leads = now - self._confirmed_at(now) < LEASE
+        self._unconfirmed = 0.0 if leads else self._unconfirmed + counted
+        for name in self._computers:
             contact = self._contacts.get(name)
             if contact is None or contact.acked is None:
                 continue
@@ -138,60 +279,13 @@ class Reachability:
             known.direct.measure(sign, now, counted)
             known.any.measure(max(sign, relayed[1]) if relayed else sign, now, counted)
 
-    def asks(self) -> list[str]:
+    def _doubted(self) -> list[str]:
         """Return whom to ask for a sign of life."""
         return [
             name
             for name, agent in self._agents.items()
             if ASK_AFTER <= agent.direct.seconds < UNHEARD_AFTER
         ]
-
-    def silent(self) -> set[str]:
-        """Return whose heartbeats do not come, or who does not hear the manager."""
-        return {
-            name
-            for name, agent in self._agents.items()
-            if agent.direct.seconds >= UNHEARD_AFTER
-        }
-
-    def is_heard(self, computer: str) -> bool:
-        """Return whether an agent still exchanges heartbeats that seemed to be gone.
-
-        So only its connection is cut, and its lease lasts.
-        """
-        agent, contact = self._agents.get(computer), self._contacts.get(computer)
-        ended_at = self._ended_at.get(computer)
-        if agent is None or contact is None or ended_at is None:
-            return False
-        is_later = agent.direct.last - ended_at > _LATER
-        is_silent = agent.direct.seconds >= UNHEARD_AFTER
-        return is_later and not is_silent and not contact.last.is_cut_off
-
-    def heard_by(self, computer: str, now: float) -> str:
-        """Return another agent that hears this one; empty when none does."""
-        agent = self._agents.get(computer)
-        relayed = self._contacts.relayed(computer, now)
-        if relayed is None:
-            return ""
-        other, at = relayed
-        if agent is None:  # it is not judged
-            last, silent = self._ended_at.get(computer, now), now - at
-        else:
-            last, silent = agent.direct.last, agent.any.seconds
-        return other if silent < UNHEARD_AFTER and at - last > _LATER else ""
-
-    def have_leases_ended(self, computers: Collection[str], now: float) -> bool:
-        """Return whether the leases of lost agents have surely ended at `now` [s]."""
-        # what other agents hear of it later is not known
-        known_until = self.confirmed_at(now)
-        if known_until <= now - LEASE:
-            return False
-        return all(
-            self._agents[name].any.seconds - (now - known_until) >= self._surely_ended
-            if name in self._agents
-            else now - self._last_sign(name, now) >= self._surely_ended
-            for name in computers
-        )
 
     def _last_sign(self, computer: str, now: float) -> float:
         """Return when an agent that is not judged seems to have ended [s].
@@ -201,133 +295,3 @@ class Reachability:
         relayed = self._contacts.relayed(computer, now)
         ended_at = self._ended_at.get(computer, now)
         return max(ended_at, relayed[1]) if relayed else ended_at
-
-
-class AgentHeartbeats:
-    """Exchanges heartbeats with agents; any thread may ask.
-
-    `surely_ended`: the lease of an agent that ended has ended, too, after this time
-    [s]; `datagrams`: what carries them.
-    """
-
-    def __init__(  # noqa: PLR0913, each is a choice of the caller
-        self,
-        robot: str,
-        key: str,
-        endpoints: Mapping[str, str],
-        clock: Clock,
-        on_silent: Callable[[list[str]], object],
-        surely_ended: float,
-        datagrams: Datagrams,
-        *,
-        votes: Mapping[str, int] = {},
-    ) -> None:
-        self._clock = clock
-        self._on_silent = on_silent
-        self._silent: set[str] = set()
-        self._revoked: dict[str, int] = {}
-        self._lock = threading.Lock()
-        self._contacts = Contacts(robot, MANAGER, key)
-        self._reachability = Reachability(self._contacts, surely_ended, votes)
-        where = {name: endpoint_of(text) for name, text in endpoints.items()}
-        self._computers = tuple(where)
-        self._heartbeats = Heartbeats(clock, self._hear, self._next_beat, datagrams)
-        self._heartbeats.send_to({n: (e.host, e.port) for n, e in where.items()})
-        self._has_begun = False
-
-    def start(self) -> None:
-        """Begin; harmless when repeated."""
-        if not self._has_begun:
-            self._has_begun = True
-            self._heartbeats.start()
-
-    def close(self) -> None:
-        """End."""
-        self._heartbeats.close()
-
-    def forget(self, computer: str) -> None:
-        """Take the agent of a computer for a new one, until it is heard."""
-        with self._lock:
-            self._reachability.forget(computer)
-            self._silent.discard(computer)
-
-    def note_ended(self, computer: str, ago: float = 0.0) -> None:
-        """Note that an agent has ended now or some time ago [s], or is missing."""
-        with self._lock:
-            self._reachability.note_ended(computer, self._clock.now() - ago)
-
-    def leads(self) -> bool:
-        """Return whether a majority obeyed this manager a moment before."""
-        with self._lock:
-            now = self._clock.now()
-            return now - self._reachability.confirmed_at(now) < LEASE
-
-    def unconfirmed(self) -> float:
-        """Return for how long it has not led [s]."""
-        with self._lock:
-            return self._reachability.unconfirmed
-
-    def have_leases_ended(self, computers: Collection[str]) -> bool:
-        """Return whether the leases of lost computers have surely ended."""
-        with self._lock:
-            now = self._clock.now()
-            return self._reachability.have_leases_ended(computers, now)
-
-    def answers(self, computer: str) -> bool:
-        """Return whether an agent has answered any heartbeat."""
-        with self._lock:
-            contact = self._contacts.get(computer)
-            return contact is not None and contact.acked is not None
-
-    def is_heard(self, computer: str) -> bool:
-        """Return whether an agent still sends heartbeats that seemed to be gone."""
-        with self._lock:
-            return self._reachability.is_heard(computer)
-
-    def heard_by(self, computer: str) -> str:
-        """Return another agent that hears this one; empty when none does."""
-        with self._lock:
-            return self._reachability.heard_by(computer, self._clock.now())
-
-    def is_sure(self, computer: str) -> bool:
-        """Return whether an agent was heard just now and its lease holds."""
-        with self._lock:
-            doubted = self._reachability.asks()
-        return computer not in doubted and not self.is_cut_off(computer)
-
-    def is_cut_off(self, computer: str) -> bool:
-        """Return whether an agent said last that its lease has ended."""
-        with self._lock:
-            contact = self._contacts.get(computer)
-            return contact is not None and contact.last.is_cut_off
-
-    def revoke(self, tokens: Mapping[str, int]) -> bool:
-        """Revoke fencing tokens of computers whose leases have surely ended."""
-        with self._lock:
-            now = self._clock.now()
-            have_ended = self._reachability.have_leases_ended(tokens.keys(), now)
-            if have_ended:
-                self._revoked |= tokens
-            return have_ended
-
-    def _hear(self, received: Sequence[Received]) -> bool:
-        with self._lock:
-            news = [b for b, _, at in received if self._contacts.note(b, at)]
-        return any(MANAGER in beat.asks for beat in news)
-
-    def _next_beat(self) -> tuple[Heartbeat, float]:
-        now = self._clock.now()
-        with self._lock:
-            self._reachability.measure(self._computers, now)
-            silent, asks = self._reachability.silent(), self._reachability.asks()
-            has_changed, self._silent = silent != self._silent, silent
-            ago = now - self._reachability.confirmed_at(now)
-            beat = self._contacts.next_beat(
-                now,
-                managed=ago if ago < inf else None,
-                asks=asks,
-                revoked=dict(self._revoked),
-            )
-        if has_changed:
-            self._on_silent(sorted(silent))
-        return beat, ASK_EVERY if asks else EVERY

@@ -20,7 +20,6 @@ from poise.wire.records.request_records import (
     Accepted,
     Answer,
     CheckpointCopy,
-    Claimed,
     ManagerRequest,
     Refused,
     Request,
@@ -48,15 +47,16 @@ def keep_limit(copy: CheckpointCopy) -> float:
     return ANSWER_LIMIT + len(copy.data or b"") / _LEAST_BANDWIDTH
 
 
-def why_not_kept(copy: CheckpointCopy, answer: Answer | None) -> str:
-    """Return why an agent did not keep a state; empty: it did.
+def reason_of(answer: Answer) -> str:
+    """Return why an agent did not do what it was asked."""
+    return answer.reason if isinstance(answer, Refused) else str(answer)
 
-    `answer`: None: there was none within `keep_limit`.
-    """
-    if isinstance(answer, Accepted):
-        return ""
-    why = answer.reason if isinstance(answer, Refused) else str(answer)
-    return why if answer else f"no answer within {keep_limit(copy):.0f} s"
+
+def why_not_kept(copy: CheckpointCopy, answer: Answer | None) -> str:
+    """Return why an agent did not keep a state within `keep_limit`; empty: it did."""
+    if answer is None:
+        return f"no answer within {keep_limit(copy):.0f} s"
+    return "" if isinstance(answer, Accepted) else reason_of(answer)
 
 
 class PendingAnswer:
@@ -106,37 +106,23 @@ class AgentRequests:
         self._get(computer, request, limit, take)
         return reply
 
-    def send(
-        self, requests: Mapping[str, Request]
-    ) -> tuple[dict[str, Answer], dict[str, str]]:
-        """Send agents requests until they answer.
+    def send(self, computer: str, request: Request) -> Answer | None:
+        """Return an agent's answer, within `SEND_LIMIT`; None: it gave none.
 
         An agent that is cut off for a moment gets its request again.
         """
-        answers: dict[str, Answer] = {}
-        refusals = {}
-        pending = dict(requests)
         deadline = self._clock.now() + SEND_LIMIT
-        while pending:
-            asked = {c: (c, request, ANSWER_LIMIT) for c, request in pending.items()}
-            for computer, answer in self.answers(asked):
-                if answer is None:
-                    continue
-                del pending[computer]
-                answers[computer] = answer
-                if not isinstance(answer, Accepted | Claimed):
-                    why = answer.reason if isinstance(answer, Refused) else str(answer)
-                    refusals[computer] = f"the agent of '{computer}' refused: {why}"
-            if pending:
-                self._clock.sleep(LOOK_EVERY)  # a loss may not be known yet
-            for computer in list(pending):
-                left = max(0.0, deadline - self._clock.now())
-                is_reached = partial(self._is_reached, computer)
-                if not left or not self._reports.wait_news(is_reached, left):
-                    del pending[computer]
-                    why = self.why_silent(computer, SEND_LIMIT, LOSS_DELAY)
-                    refusals[computer] = f"the agent of '{computer}' {why}"
-        return answers, refusals
+        while True:
+            asked = {computer: (computer, request, ANSWER_LIMIT)}
+            for _, answer in self.answers(asked):
+                if answer is not None:
+                    return answer
+            self._clock.sleep(LOOK_EVERY)  # a loss may not be known yet
+            left = max(0.0, deadline - self._clock.now())
+            if not left or not self._reports.wait_news(
+                lambda: computer in self._reports.reached(), left
+            ):
+                return None
 
     def answers(
         self,
@@ -181,9 +167,6 @@ class AgentRequests:
             ),
             timeout=limit,
         )
-
-    def _is_reached(self, computer: str) -> bool:
-        return computer in self._reports.reached()
 
     def why_silent(self, computer: str, limit: float, patience: float) -> str:
         """Return what is known of an agent that gave no answer within `limit` [s].

@@ -23,16 +23,12 @@ from poise.manage.agent_connections.requests import (
     ANSWER_LIMIT,
     PendingAnswer,
     keep_limit,
+    reason_of,
     why_not_kept,
 )
 from poise.wire.records.deployment_records import Deployment
 from poise.wire.records.migration_records import MigrationSteps, Step, StepsDone
-from poise.wire.records.request_records import (
-    Accepted,
-    CheckpointCopy,
-    Claimed,
-    Refused,
-)
+from poise.wire.records.request_records import Accepted, CheckpointCopy, Claimed
 from poise.wire.records.status_records import AgentStatus
 
 APPLY_LIMIT = 1.0
@@ -151,8 +147,7 @@ class Reconciler:
             return False  # its connection broke: that it is lost is known soon
         why = f"did not answer within {ANSWER_LIMIT:g} s"
         if answer is not None:
-            reason = answer.reason if isinstance(answer, Refused) else str(answer)
-            why = f"refused: {reason}"
+            why = f"refused: {reason_of(answer)}"
             agent.refusal = f"the agent of '{computer}' {why}"
         agent.trouble = f"the agent of '{computer}' {why}"
         return False
