@@ -217,7 +217,7 @@ def test_a_bug_in_a_command_is_refused_and_the_robot_goes_on(
 
 
 def test_a_thread_that_failed_is_in_the_status(managed: Managed) -> None:
-    managed.manager.failures.note("metrics", KeyError("odd"))
+    managed.manager.troubles.note_failure("metrics", KeyError("odd"))
     deviations = managed.manager.status().deviations
     assert ["thread 'metrics'" in each.what for each in deviations].count(True) == 1
 

@@ -61,7 +61,7 @@ from poise.manage.migration.pending_migration import PendingMigration
 from poise.manage.observe.deviations import Deviation
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.sample_recording import Recording, RecordingFile
-from poise.manage.observe.troubles import ManagerTroubles, ThreadFailures
+from poise.manage.observe.troubles import ManagerTroubles
 from poise.manage.observe.watch import Watch
 from poise.manage.shortages.suspension import Suspensions
 from poise.manage.tasks.prefetch import Prefetcher
@@ -118,10 +118,9 @@ class Manager:
         self._why_over, self._over_since = "", 0.0
         self._watch = Watch(live)
         others = samples, recording, live.agents.own_keys
-        self._troubles = ManagerTroubles(
+        self.troubles = ManagerTroubles(
             live.journal, others=[each for each in others if each is not None]
         )
-        self.failures = ThreadFailures(live.journal)
         self.lost = LostComputers(live)
         self._reader = SituationReader(live, estimates, self.lost)
         self.tasks = TaskManager(live, tasks, self._situation)
@@ -311,8 +310,7 @@ class Manager:
     def _deviations(self) -> tuple[Deviation, ...]:
         return (
             *self._parts.deviations(),
-            *self._troubles.deviations(),
-            *self.failures.deviations(),
+            *self.troubles.deviations(),
             *self.lost.deviations(),
             *self._watch.deviations,
             *self._watch.code_errors.deviations(),
@@ -468,7 +466,7 @@ class Manager:
 
     def _observe(self) -> None:
         self._parts.run("see who manages the robot", self._raise_on_successor)
-        self._parts.run("look at itself", self._troubles.check)
+        self._parts.run("look at itself", self.troubles.check)
         self._live.reconcile()
         self._parts.run("see which computers are lost", self.lost.note)
         self._parts.run("watch components", self._watch.record)

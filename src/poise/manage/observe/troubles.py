@@ -11,7 +11,7 @@ import re
 import time
 import traceback
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from msgspec.structs import replace
 
@@ -26,8 +26,8 @@ from poise.wire.records.status_records import ComponentStatus, ContainerStatus
 
 _LEAST_JUMP = 1.0
 """A clock that jumps by less is not worth a word [s]."""
-_SHOWN = 60.0
-"""A jump is a deviation for this time [s]."""
+_MOST_SHOWN = 20
+"""The most passing events that are shown; all are journalled."""
 
 
 class Troubled(Protocol):
@@ -57,13 +57,14 @@ class ManagerTroubles:
         self._wall = wall
         self._now = now
         self._offset = wall() - now()
-        self._jumped: tuple[float, Deviation] | None = None
         self._watched = (journal, *others)
         self._troubles: dict[int, Deviation] = {}
+        self._shown: dict[str, tuple[float, Deviation]] = {}
+        """What happened lately, by what it is about, and when; replaced as a whole."""
 
     def check(self) -> None:
         """Journal a jump of the clock; call it several times a second."""
-        offset, now = self._wall() - self._now(), self._now()
+        offset = self._wall() - self._now()
         jump, self._offset = offset - self._offset, offset
         if abs(jump) >= _LEAST_JUMP:
             way = "forward" if jump > 0 else "back"
@@ -71,18 +72,35 @@ class ManagerTroubles:
                 f"the clock of the manager's computer jumped {way} by {abs(jump):.0f} "
                 "s: times before that are off; nothing else depends on it"
             )
-            self._jumped = now, self._deviation(what)
             self._journal.note("wrong", what, seconds=jump)
-        if self._jumped is not None and now - self._jumped[0] > _SHOWN:
-            self._jumped = None
+            self._show("clock", what)
         for number, part in enumerate(self._watched):
             self._note(number, part.trouble)
 
+    def note_failure(self, thread: str, error: BaseException) -> None:
+        """Journal what `poise.threads.hear_failures` reports of a thread."""
+        what = (
+            f"the thread '{thread}' of the manager's process failed "
+            f"({type(error).__name__}: {error}); all else goes on"
+        )
+        text = "".join(traceback.format_exception(error))
+        self._journal.note("failed", what, traceback=text)
+        self._show(f"thread {thread}", what)
+
     def deviations(self) -> list[Deviation]:
-        """Return what is wrong now; from any thread."""
-        jumped = self._jumped
-        found = [*self._troubles.copy().values()]
-        return [*found, jumped[1]] if jumped is not None else found
+        """Return what is wrong now, or happened within `SHOWN_FOR`; from any thread."""
+        recent = self._recent().values()
+        return [*self._troubles.copy().values(), *(shown for _, shown in recent)]
+
+    def _show(self, about: str, what: str) -> None:
+        shown = self._recent()
+        shown.pop(about, None)  # the last comes last
+        shown[about] = self._now(), self._deviation(what)
+        self._shown = dict([*shown.items()][-_MOST_SHOWN:])
+
+    def _recent(self) -> dict[str, tuple[float, Deviation]]:
+        since = self._now() - SHOWN_FOR
+        return {name: shown for name, shown in self._shown.items() if shown[0] >= since}
 
     def _note(self, number: int, trouble: str) -> None:
         """Journal that a trouble begins, and ends, but not each of its counts."""
@@ -216,61 +234,17 @@ def refused(container: ContainerStatus) -> Iterator[tuple[str, int]]:
             yield end.name, end.refused
 
 
-_MOST_THREADS = 20
-"""The most threads whose failures are shown; all failures are journalled."""
-
-
-class ThreadFailures:
-    """Journals each failure, and shows it for `SHOWN_FOR`.
-
-    `now`: returns the time [s] by a clock that never jumps.
-    """
-
-    def __init__(
-        self, journal: Journal, now: Callable[[], float] = time.monotonic
-    ) -> None:
-        self._journal = journal
-        self._now = now
-        self._shown: dict[str, tuple[float, Deviation]] = {}
-
-    def note(self, thread: str, error: BaseException) -> None:
-        """Take note of a failure, as `poise.threads.hear_failures` reports it."""
-        what = (
-            f"the thread '{thread}' of the manager's process failed "
-            f"({type(error).__name__}: {error}); all else goes on"
-        )
-        text = "".join(traceback.format_exception(error))
-        self._journal.note("failed", what, traceback=text)
-        shown = {name: entry for name, entry in self._fresh() if name != thread}
-        deviation = Deviation(what=what, computer="", since=wall_time())
-        self._shown = dict(
-            [*shown.items(), (thread, (self._now(), deviation))][-_MOST_THREADS:]
-        )
-
-    def deviations(self) -> list[Deviation]:
-        """Return the last failure of each thread; from any thread."""
-        return [deviation for _, (_, deviation) in self._fresh()]
-
-    def _fresh(self) -> list[tuple[str, tuple[float, Deviation]]]:
-        since = self._now() - SHOWN_FOR
-        return [
-            (name, entry) for name, entry in self._shown.items() if entry[0] >= since
-        ]
-
-
 FIRST_PAUSE = 1.0
 """A part that raised is left out for this time [s]; twice as long each time."""
 LONGEST_PAUSE = 60.0
 
 
-class _Failure:
+class _Failure(NamedTuple):
     """A part that raised when it was run last."""
 
-    def __init__(self, what: str, pause: float, again_at: float, since: float) -> None:
-        self.what = what
-        self.pause = pause
-        self.again_at = again_at
-        self.since = since
+    deviation: Deviation
+    pause: float
+    again_at: float
 
 
 class ManagerParts:
@@ -314,10 +288,7 @@ class ManagerParts:
 
     def deviations(self) -> list[Deviation]:
         """Return what does not work now; from any thread."""
-        return [
-            Deviation(what=failure.what, computer="", since=failure.since)
-            for failure in list(self._failures.values())
-        ]
+        return [failure.deviation for failure in list(self._failures.values())]
 
     def _note(self, part: str, error: Exception, *, changes: bool) -> None:
         before = self._failures.get(part)
@@ -327,9 +298,9 @@ class ManagerParts:
         said = f"{type(error).__name__}: {error}" if is_bug else str(error)
         why = "a bug in Poise, please report it" if is_bug else "it is tried again"
         what = f"the manager cannot {part} ({said}): {why}; all else goes on"
-        since = before.since if before else wall_time()
-        again_at = self._clock.now() + pause
-        self._failures[part] = _Failure(what, pause, again_at, since)
+        since = before.deviation.since if before else wall_time()
+        deviation = Deviation(what=what, computer="", since=since)
+        self._failures[part] = _Failure(deviation, pause, self._clock.now() + pause)
         text = f"{what}; the next try is in {pause:g} s"
         self._journal.note("failed", text, traceback=traceback.format_exc())
         if is_bug and changes:
