@@ -29,6 +29,7 @@ from poise.wire.control_session import locator
 from poise.wire.heartbeats import Contacts, Heartbeats, UdpDatagrams
 from poise.wire.records.deployment_records import ContainerSpec
 from poise.wire.records.heartbeat_records import Clocks, ClockStatus
+from poise.wire.records.request_records import Claim, ManagerId
 from poise.wire.records.status_records import ToContainer
 from tests.waiting import LIMIT, wait_until
 
@@ -108,6 +109,7 @@ def test_two_agents_learn_of_each_others_clocks() -> None:
     agents = {name: locator(each) for name, each in where.items()}
     with ExitStack() as stack:
         exchanges = {}
+        manager = ManagerId(key="k", user="ann", host="desk", pid=7, since=0.0)
         for name, clock in clocks.items():
             exchanges[name] = each = HeartbeatExchange(
                 name,
@@ -119,7 +121,7 @@ def test_two_agents_learn_of_each_others_clocks() -> None:
                 lambda: 0.0,
             )
             stack.callback(each.close)
-            each.begin("manager", agents, is_leased=False)
+            each.obey(Claim(manager, agents=agents))
         wait_until(lambda: all(each.clocks for each in exchanges.values()))
         for name, offset in (("main", AHEAD), ("vision", -AHEAD)):
             (seen,) = exchanges[name].clocks.values()

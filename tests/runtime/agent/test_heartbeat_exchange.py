@@ -32,11 +32,16 @@ MANAGER = ManagerId(key="k", user="ann", host="desk", pid=7, since=0.0)
 
 
 def claim_of(
-    key: str, agents: Mapping[str, str] = AGENTS, *, is_leased: bool = True
+    key: str,
+    agents: Mapping[str, str] = AGENTS,
+    *,
+    is_leased: bool = True,
+    votes: Mapping[str, int] | None = None,
 ) -> Claim:
-    """Return the claim of a manager, which an agent has kept."""
+    """Return the claim of a manager."""
     manager = structs.replace(MANAGER, key=key)
-    return Claim(manager, agents=agents, is_leased=is_leased)
+    election = Election(votes=votes) if votes else None
+    return Claim(manager, agents=agents, is_leased=is_leased, election=election)
 
 
 class Transport:
@@ -106,12 +111,12 @@ def rig() -> Rig:
 
 
 def test_components_of_the_only_computer_pay_nothing(rig: Rig) -> None:
-    rig.exchange.begin("k", {"left": AGENTS["left"]}, is_leased=True)
+    rig.exchange.obey(claim_of("k", {"left": AGENTS["left"]}))
     assert rig.ends == [inf]
 
 
 def test_where_nothing_is_cut_it_is_enough_that_the_agent_runs(rig: Rig) -> None:
-    rig.exchange.begin("k", AGENTS, is_leased=False)
+    rig.exchange.obey(claim_of("k", AGENTS, is_leased=False))
     assert rig.beat(0.1) == pytest.approx(UNCUT_LEASE)
     assert rig.beat(9.0) == pytest.approx(UNCUT_LEASE)
     assert rig.beat(11.0) == -inf
@@ -153,7 +158,7 @@ def test_an_agent_goes_on_by_itself_only_while_it_runs_and_no_manager_may_be_the
 
 
 def test_a_computer_that_was_suspended_has_lost_its_lease(rig: Rig) -> None:
-    rig.exchange.begin("k", AGENTS, is_leased=True)
+    rig.exchange.obey(claim_of("k"))
     assert rig.beat(0.1) == pytest.approx(LEASE)
     rig.asleep = 60.0
     # what its containers read ended while it slept
@@ -202,7 +207,7 @@ def heard(
 
 def test_a_manager_that_was_heard_a_moment_before_has_ended(rig: Rig) -> None:
     """While there is none, nothing is started elsewhere."""
-    rig.exchange.begin("k", AGENTS, is_leased=True)
+    rig.exchange.obey(claim_of("k"))
     heard(rig, 1)
     rig.exchange.note_liveliness("k", is_there=False)
     assert not rig.fence.is_managed()
@@ -212,7 +217,7 @@ def test_a_manager_that_was_heard_a_moment_before_has_ended(rig: Rig) -> None:
 
 def test_one_that_is_heard_after_its_token_went_has_not_ended(rig: Rig) -> None:
     """It does not hear this agent: it may start elsewhere what runs here."""
-    rig.exchange.begin("k", AGENTS, is_leased=True)
+    rig.exchange.obey(claim_of("k"))
     heard(rig, 1)
     rig.exchange.note_liveliness("k", is_there=False)
     heard(rig, 2)  # that was under way
@@ -226,7 +231,7 @@ def test_one_whose_token_goes_long_after_its_last_heartbeat_may_be_cut_off(
     rig: Rig,
 ) -> None:
     """Then it may start elsewhere what runs here: the lease ends."""
-    rig.exchange.begin("k", AGENTS, is_leased=True)
+    rig.exchange.obey(claim_of("k"))
     heard(rig, 1)
     for _ in range(5):
         rig.beat(0.1)
@@ -246,7 +251,7 @@ def test_a_claim_after_the_lease_ended_lets_nothing_run_until_it_is_said_what(
     assert rig.beat(0.1) == -inf
     assert not rig.exchange.is_held()
     rig.fence.lapse()  # as the agent does then, when it is claimed
-    rig.exchange.begin("k", AGENTS, is_leased=True)
+    rig.exchange.obey(claim_of("k"))
     heard(rig, 1)
     assert rig.beat(0.1) == -inf
     rig.fence.update()
@@ -257,7 +262,7 @@ def test_a_claim_after_the_lease_ended_lets_nothing_run_until_it_is_said_what(
 
 def test_a_heartbeat_that_revokes_the_lease_extends_it_for_no_moment(rig: Rig) -> None:
     """The next claim may come before the agent sends again, and judges."""
-    rig.exchange.begin("k", AGENTS, is_leased=True)
+    rig.exchange.obey(claim_of("k"))
     heard(rig, 1)
     rig.beat(0.1)
     rig.clock.sleep(0.9)  # it stood still, and what ran here was started elsewhere
@@ -267,7 +272,7 @@ def test_a_heartbeat_that_revokes_the_lease_extends_it_for_no_moment(rig: Rig) -
 
 
 def test_a_claim_while_the_lease_lasts_interrupts_nothing(rig: Rig) -> None:
-    rig.exchange.begin("k", AGENTS, is_leased=True)
+    rig.exchange.obey(claim_of("k"))
     heard(rig, 1)
     rig.exchange.note_liveliness("k", is_there=False)
     for _ in range(30):
@@ -279,9 +284,9 @@ def test_a_lease_ends_when_the_manager_that_claims_never_sends_a_heartbeat(
     rig: Rig,
 ) -> None:
     """It was paused just after: what runs here counts as lost once it goes on."""
-    rig.exchange.begin("k", AGENTS, is_leased=True)
+    rig.exchange.obey(claim_of("k"))
     heard(rig, 1)
-    rig.exchange.begin("next", AGENTS, is_leased=True)
+    rig.exchange.obey(claim_of("next"))
     assert rig.beat(0.1) > 0
     for _ in range(7):
         rig.beat(0.1)
@@ -293,7 +298,7 @@ def test_after_a_stall_longer_than_the_lease_only_the_manager_extends_it(
     rig: Rig,
 ) -> None:
     """It may have started what runs here elsewhere, and other agents not know yet."""
-    rig.exchange.begin("k", AGENTS, is_leased=True)
+    rig.exchange.obey(claim_of("k"))
     heard(rig, 1)
     rig.beat(0.1)
     rig.clock.sleep(0.9)
@@ -308,7 +313,7 @@ def test_a_manager_that_ended_during_a_stall_may_have_started_things_elsewhere(
     rig: Rig,
 ) -> None:
     """What it sent before it ended lay there, and is no sign of a moment before."""
-    rig.exchange.begin("k", AGENTS, is_leased=True)
+    rig.exchange.obey(claim_of("k"))
     heard(rig, 1)
     rig.beat(0.1)
     sent = rig.clock.now()
@@ -322,7 +327,7 @@ def test_a_manager_that_ended_during_a_stall_may_have_started_things_elsewhere(
 
 
 def test_other_agents_extend_the_lease_of_one_that_did_not_stall(rig: Rig) -> None:
-    rig.exchange.begin("k", AGENTS, is_leased=True)
+    rig.exchange.obey(claim_of("k"))
     heard(rig, 1)
     for number in range(10):
         assert rig.beat(0.1) > 0
@@ -347,7 +352,7 @@ THREE = {**AGENTS, "far": "tcp/127.0.0.1:4"}
 
 def test_where_managers_are_voted_for_a_claim_begins_no_lease(rig: Rig) -> None:
     """The manager that claims may never get a majority."""
-    rig.exchange.begin("k", THREE, is_leased=True, votes=VOTES)
+    rig.exchange.obey(claim_of("k", THREE, votes=VOTES))
     assert rig.beat(0.1) == -inf
     assert not rig.fence.is_cut_off
     heard(rig, 1)
@@ -357,13 +362,13 @@ def test_where_managers_are_voted_for_a_claim_begins_no_lease(rig: Rig) -> None:
 def test_a_majority_extends_the_lease_while_it_obeys_the_same_manager(
     rig: Rig,
 ) -> None:
-    rig.exchange.begin("k", THREE, is_leased=True, votes=VOTES)
+    rig.exchange.obey(claim_of("k", THREE, votes=VOTES))
     heard(rig, 1)
     rig.clock.sleep(0.2)
     for number in range(20):
         assert rig.beat(0.1) > 0
         heard(rig, number, "right")
-    rig.exchange.begin("later", THREE, is_leased=True, votes=VOTES)
+    rig.exchange.obey(claim_of("later", THREE, votes=VOTES))
     assert rig.beat(0.1) > 0  # the claim ends nothing
     for number in range(20, 30):
         heard(rig, number, "right")  # which obeys the one before
@@ -430,12 +435,12 @@ def test_a_standby_waits_while_no_majority_would_confirm_it(rig: Rig) -> None:
 def test_heartbeats_go_to_the_others_from_the_first_claim_on_and_to_the_last_manager(
     rig: Rig,
 ) -> None:
-    rig.exchange.begin("k", AGENTS, is_leased=True)
+    rig.exchange.obey(claim_of("k"))
     right, far, back = (("127.0.0.1", port) for port in (2, 4, 3))
     assert rig.sending.targets == {"right": right}
     heard(rig, 1)
     assert rig.sending.targets == {"right": right, THE_MANAGER: back}
-    rig.exchange.begin("next", THREE, is_leased=True)
+    rig.exchange.obey(claim_of("next", THREE))
     assert rig.sending.targets == {"right": right, "far": far}
     assert not heard(rig, 2)  # by the one before
     assert THE_MANAGER not in rig.sending.targets
@@ -444,7 +449,7 @@ def test_heartbeats_go_to_the_others_from_the_first_claim_on_and_to_the_last_man
 
 
 def test_the_manager_is_asked_for_a_sign_while_there_is_time_for_it(rig: Rig) -> None:
-    rig.exchange.begin("k", AGENTS, is_leased=True)
+    rig.exchange.obey(claim_of("k"))
     heard(rig, 1)
     asked = []
     for _ in range(5):
@@ -455,7 +460,7 @@ def test_the_manager_is_asked_for_a_sign_while_there_is_time_for_it(rig: Rig) ->
 
 
 def test_knows_who_is_silent_and_for_how_long(rig: Rig) -> None:
-    rig.exchange.begin("k", THREE, is_leased=True)
+    rig.exchange.obey(claim_of("k", THREE))
     heard(rig, 1, "far")
     rig.next(0.3)
     heard(rig, 1)

@@ -130,9 +130,6 @@ class HeartbeatExchange:
         extend: Callable[[float], None],
         asleep: Callable[[], float],
     ) -> None:
-        # with whom it exchanges heartbeats, as in `Claim`
-        self.agents: Mapping[str, str] = {}
-        self.is_leased = False
         self.claim: Claim | None = None
         # what was known last of the clocks of other computers, by name
         self.clocks: Mapping[str, ClockStatus] = {}
@@ -150,8 +147,6 @@ class HeartbeatExchange:
         self._clocks_due = 0.0
         self._began: float | None = None
         self._targets: dict[str, Address] = {}
-        self._votes: Mapping[str, int] = {}
-        self._claimed_by = ""
         self._claimed_at = clock.now()
         self._token_gone = inf
         self._lock = threading.Lock()
@@ -176,27 +171,7 @@ class HeartbeatExchange:
             self.obey(claim, began)
 
     def obey(self, claim: Claim, began: float | None = None) -> None:
-        """Send heartbeats from now on to those whom a manager names that claims."""
-        self.claim = claim
-        votes = claim.election.votes if claim.election is not None else {}
-        self.begin(
-            claim.manager.key,
-            claim.agents,
-            began,
-            is_leased=claim.is_leased,
-            votes=votes,
-        )
-
-    def begin(
-        self,
-        key: str,
-        agents: Mapping[str, str],
-        began: float | None = None,
-        *,
-        is_leased: bool,
-        votes: Mapping[str, int] = {},
-    ) -> None:
-        """Send heartbeats from now on to those whom the manager with `key` names.
+        """Send heartbeats from now on to those whom a manager names that claims.
 
         The lease begins at once where datagrams are known to get through, for the
         manager may stand still before its first heartbeat; else with that. Where
@@ -204,33 +179,50 @@ class HeartbeatExchange:
         """
         others = {
             name: endpoint_of(where)
-            for name, where in agents.items()
+            for name, where in claim.agents.items()
             if name != self._computer
         }
         with self._lock:
-            self.agents, self.is_leased = agents, is_leased
-            is_new, now = key != self._claimed_by, self._clock.now()
-            is_first = not self._claimed_by
-            self._claimed_by, self._claimed_at, self._votes = key, now, votes
+            before, now = self._claimed_by, self._clock.now()
+            self.claim, self._claimed_at = claim, now
+            votes, is_first = self._votes, not before
             if began is None and votes:
                 began = -inf if is_first else now - self._lease.age(now)
                 if is_first:  # nothing is active that could be so twice
                     self._grace_until = now + _TO_LEAD
             elif began is None and self._lease.managed(now) is not None:
                 began = now
-            self._lease.begin(others.keys(), key, began, votes)
+            self._lease.begin(others.keys(), self._claimed_by, began, votes)
             if self._fence.is_cut_off:
                 self._lease.end(now)
-            if is_new:
+            if self._claimed_by != before:
                 self._contacts.forget(MANAGER)
                 self._targets.clear()
             self._targets |= {name: (e.host, e.port) for name, e in others.items()}
             self._extend(self._until(self._clock.now()) + self._slept)
-        is_first = self._began is None and (is_leased or bool(others))
-        if self._heartbeats is not None and is_first:
+        if self._heartbeats and self._began is None and (claim.is_leased or others):
             self._began = self._clock.now()
             self._heartbeats.send_to(self._targets)
             self._heartbeats.start()
+
+    @property
+    def _claimed_by(self) -> str:
+        """The key of the manager that claimed it last."""
+        return self.claim.manager.key if self.claim else ""
+
+    @property
+    def _votes(self) -> Mapping[str, int]:
+        election = self.claim.election if self.claim else None
+        return election.votes if election else {}
+
+    @property
+    def _is_leased(self) -> bool:
+        return self.claim is not None and self.claim.is_leased
+
+    @property
+    def _is_alone(self) -> bool:
+        """Whether no other computer of its robot has an agent."""
+        return self.claim is None or self.claim.agents.keys() <= {self._computer}
 
     def leader_silent_from(self) -> float:
         """Return from when on its manager counts as silent, so far as is known [s]."""
@@ -276,7 +268,7 @@ class HeartbeatExchange:
         So leased components may run elsewhere by now: none is active here until the
         manager sends a deployment.
         """
-        if self.agents.keys() > {self._computer}:
+        if not self._is_alone:
             self._fence.lapse()
             self._extend(-inf)
 
@@ -293,7 +285,7 @@ class HeartbeatExchange:
             now, manager = self._clock.now(), self._contacts.get(MANAGER)
             silent = inf if manager is None else now - manager.heard_at
             unheard = self._lease.managed(now) or 0.0
-            is_mine = key == self._claimed_by and self.is_leased
+            is_mine = key == self._claimed_by and self._is_leased
             if is_mine and not is_there:
                 self._token_gone = now
         has_ended = not is_mine or (silent < UNHEARD_AFTER and unheard < LEASE)
@@ -301,7 +293,7 @@ class HeartbeatExchange:
 
     def links(self) -> Mapping[str, LinkQuality]:
         """Return how the ways to the other computers are, where that matters."""
-        if not self.is_leased:  # nothing cuts them, and they may have to wait for CPU
+        if not self._is_leased:  # nothing cuts them, and they may have to wait for CPU
             return {}
         with self._lock:
             return self._contacts.qualities(self._clock.now())
@@ -369,7 +361,7 @@ class HeartbeatExchange:
 
     def _note_silent(self, now: float) -> None:
         """Note which computers are lost, so far as can be known from here."""
-        if now < self._grace_until or not self.is_leased:
+        if now < self._grace_until or not self._is_leased:
             return  # it may not have been heard itself, or wait for CPU as others do
         unheard = self._contacts.unheard(now)
         silent = frozenset(n for n in unheard if n != MANAGER and n in self._targets)
@@ -394,7 +386,7 @@ class HeartbeatExchange:
         self._extend(self._until(now, age) + self._slept)
 
     def _has_ended(self, now: float, age: float, stalled: float) -> bool:
-        if not self.is_leased:
+        if not self._is_leased:
             return stalled > UNCUT_LEASE
         if self._is_revoked():
             return True
@@ -409,11 +401,11 @@ class HeartbeatExchange:
         While there is no manager nothing is started elsewhere: then it is enough that
         the agent runs.
         """
-        if self._heartbeats is None or self.agents.keys() <= {self._computer}:
+        if self._heartbeats is None or self._is_alone:
             return inf
         if self._fence.is_cut_off:
             return -inf
-        if not self.is_leased:
+        if not self._is_leased:
             return now + UNCUT_LEASE
         if self._is_revoked():
             return -inf  # also a heartbeat that says so may extend it
