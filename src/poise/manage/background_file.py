@@ -67,10 +67,7 @@ class BackgroundWriter(Generic[T]):
             self._changed.notify_all()
 
     def write(self, records: Sequence[T]) -> None:
-        """Write records, and note how many are written; OSError or RunError: not all.
-
-        Called on its thread; what is not noted is written again later.
-        """
+        """Write records, on its thread; note how many are, or it is tried again."""
         raise NotImplementedError
 
     def end(self) -> None:
@@ -123,10 +120,7 @@ class BackgroundWriter(Generic[T]):
             self._note(str(error))
 
     def _next(self) -> list[T]:
-        """Return what is to be written next; nothing: it is to be closed.
-
-        In trouble that is one record, for which there may be room.
-        """
+        """Return what is to be written next, in trouble one record; nothing: close."""
         with self._changed:
             self._changed.wait_for(lambda: self._waiting or self._is_closing)
             self._changed.wait_for(lambda: self._is_closing, self._every)

@@ -1,12 +1,7 @@
 """What a new manager finds at work, and what of it goes on. Pure.
 
-Agents keep what the earlier manager told them last. Of a migration that it left half
-done they know both sides; `authoritative` says which of them counts.
-
-A manager that does not reach all agents cannot know what is at work on the others: on
-the far side of a cut another manager may have started there what is inactive here. So
-it holds such components: they stay inactive, with their state, until it has claimed
-these computers, or a person says that it takes over.
+What another manager may run on a computer that this one does not reach is held: it
+stays inactive, with its state, until that is claimed, or a person takes it over.
 """
 
 from __future__ import annotations
@@ -111,10 +106,7 @@ def as_committed(
 ) -> list[ReportedIncarnation]:
     """Return what was found, with targets of moves that work already as active.
 
-    Only its manager knew whether such a move was committed. Its target has the state,
-    and its source has ended to work.
-
-    `committed`: targets of which their containers said so.
+    `committed`: targets of which their containers said so; of others, that they work.
     """
     working = {
         (computer, component.name, component.epoch)
@@ -179,11 +171,8 @@ def authoritative(
 ) -> dict[str, ReportedIncarnation]:
     """Return the one incarnation of each component that counts.
 
-    The source of a migration counts until that is committed, and the target from then
-    on. A source is to `stay` or is active; a target is inactive, and active only when
-    its manager knew of the commit.
-
-    `committed`: component and epoch of targets whose migration was committed.
+    The source of a migration counts until that is committed, then its target. A source
+    is to `stay` or is active; a target is active only when its manager knew of that.
     """
     gone = _replaced(found, robot, committed)
     counts: dict[str, ReportedIncarnation] = {}

@@ -19,12 +19,9 @@ from poise.wire.records.status_records import ENDING_LIMIT
 
 
 def levels(names: Collection[str], leads: Iterable[tuple[str, str]]) -> list[list[str]]:
-    """Return `names` so that each comes before all to which it leads.
+    """Return `names`, each before all to which it leads; in one level: to each other.
 
-    Those that lead to each other are in one level.
-
-    `leads`: pairs of which the first leads to the second, such as caller and callee;
-    also over others than `names`.
+    `leads`: pairs of which the first leads to the second; also over others.
     """
     following: dict[str, set[str]] = {}
     for source, target in leads:
@@ -84,10 +81,7 @@ def drain(
 ) -> None:
     """Deactivate all components, each when it has processed what was sent to it.
 
-    Afterwards the agents' statuses hold the final counts, also of what came to rest
-    before. A component whose handler does not end, and a message that does not arrive,
-    are not waited for any longer.
-
+    A handler that does not end, and a message that does not arrive, are not waited for.
     `unprocessed`: connector -> messages sent over it that wait or are under way.
     """
     connectors = live.layout.connectors(live.placed)
@@ -107,10 +101,7 @@ def drain(
 
 
 def _deactivate(live: LiveRobot, leads: Leads) -> Iterator[set[str]]:
-    """Make components inactive, each before those to which it leads; yield which are.
-
-    A component whose handler does not end is not waited for any longer.
-    """
+    """Make components inactive, each before those to which it leads; yield which."""
     inactive: set[str] = set()
     for level in levels(live.placed, leads):
         inactive |= set(level)
@@ -142,10 +133,7 @@ def _have_ended(live: LiveRobot, names: Collection[str]) -> bool:
 def maybe_active(
     places: Iterable[Incarnation], reached: Collection[str], current: Statuses
 ) -> list[str]:
-    """Return the components that are active, or may be: nothing newer is known.
-
-    `reached`: computers; what is on others is not waited for.
-    """
+    """Return the components on `reached` computers that may be active."""
     active = {c.name for c in components_of(current) if c.state == "active"}
     return [
         incarnation.component
@@ -160,11 +148,10 @@ RETURN_LIMIT = 3.0
 
 
 def stop(live: LiveRobot) -> None:
-    """Stop everything, callers first, on all computers that are reached.
+    """Stop everything, callers first, on all computers that are reached or come back.
 
-    Computers that come back within `RETURN_LIMIT` are stopped, too. Harmless when
-    repeated, and where another manager has the robot. `live.remaining` says what did
-    not end in time; after RunError, what still runs.
+    Harmless when repeated. `live.remaining` says what did not end in time; after
+    RunError, what still runs.
     """
     if live.is_left or live.desired.is_stopped:
         return

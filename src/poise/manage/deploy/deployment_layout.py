@@ -90,10 +90,7 @@ class DeploymentLayout:
         self._carries, self._answers = _chains_over(robot, self._slots)
 
     def container_of(self, incarnation: Incarnation) -> str:
-        """Return the name of its container, the same on every computer.
-
-        Other code has a process of its own: Python knows one module of a name.
-        """
+        """Return its container's name; other code has its own: Python imports once."""
         container = self._containers[incarnation.component]
         # no name has a dot in it, so this is no other container's name
         other = f"..{incarnation.code[:_DIGITS]}" if incarnation.code else ""
@@ -246,10 +243,7 @@ class DeploymentLayout:
     def component_spec(
         self, incarnation: Incarnation, parameters: Mapping[str, Any] = {}
     ) -> ComponentSpec:
-        """Return the specification of an incarnation for its agent.
-
-        `parameters`: those that were set since the start.
-        """
+        """Return what its agent is told; `parameters`: those set since the start."""
         component = self._components[incarnation.component]
         implementation = incarnation.implementation or component.implementation
         is_other = implementation != component.implementation
@@ -282,10 +276,7 @@ class DeploymentLayout:
         )
 
     def _code_of(self, component: ComponentEntry, implementation: str) -> str:
-        """Return the version of its code when this manager first read that.
-
-        A container imports each module once: what is edited later may not run.
-        """
+        """Return the version of its code that this manager read first, and imports."""
         key = component.name, implementation
         if key not in self._code:
             self._code[key] = self._present_code(component, implementation)
@@ -420,8 +411,7 @@ class CpuWeight(Struct, frozen=True):
 def cpu_weights(robot: Robot) -> Mapping[str, CpuWeight]:
     """Return architecture -> CPU weight; only the order of priorities counts.
 
-    What is prepared for a later action has none: so where there may be such, others
-    have one though all priorities are equal.
+    What is prepared for a later action has none: where there may be such, all have one.
     """
     counts = importance(a.priority for a in robot.architectures)
     if len(counts) < 2:  # noqa: PLR2004 - nothing is above anything

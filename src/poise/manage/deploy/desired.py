@@ -1,8 +1,4 @@
-"""What should run on the robot: one frozen record, which `commit` replaces.
-
-Nothing else says what should run. The reconciler compares it with what agents report;
-any thread may read the record that is in force.
-"""
+"""What should run on the robot: one frozen record, which `commit` replaces."""
 
 from __future__ import annotations
 
@@ -132,10 +128,7 @@ class Desired(Struct, frozen=True, kw_only=True):
         }
 
     def with_coming(self, coming: Iterable[Incarnation]) -> Desired:
-        """Return this with another change under way; none: nothing is under way.
-
-        What was configured ahead for it is part of the change from now on.
-        """
+        """Return this with another change under way, or none; it is ahead no more."""
         coming = tuple(coming)
         return replace(self.without_configured_ahead(coming), coming=coming)
 

@@ -1,8 +1,4 @@
-"""What should run on a robot: the one owner of that record.
-
-Every change is a `commit`, which journals it; a reconciler brings the agents there.
-Nothing here waits for an agent.
-"""
+"""What should run on a robot: the one owner of that record. Waits for no agent."""
 
 from __future__ import annotations
 
@@ -111,10 +107,7 @@ class DesiredState:
         self.desired = structs.replace(self.desired, tasks=tasks)
 
     def commit(self, desired: Desired, why: str, *, tell_later: bool = False) -> None:
-        """Let something else run from now on; the only place that changes that.
-
-        It is journalled, and agents are told; nothing is waited for. For the manager's
-        thread.
+        """Let something else run from now on: journal it, and tell agents.
 
         `desired`: made from `self.desired`; its generation is overwritten.
         """
@@ -187,10 +180,7 @@ class DesiredState:
         self.is_left = True
 
     def gateways(self) -> dict[str, str]:
-        """Return where other computers reach each computer's containers.
-
-        It is known also of a computer that is out of reach, or back without a report.
-        """
+        """Return where each computer's containers are reached, also while it is not."""
         self._gateways |= gateways(self.agents.statuses())
         return self._gateways
 
@@ -310,10 +300,7 @@ class DesiredState:
         )
 
     def _lacking(self, computer: str, deployment: Deployment) -> list[CheckpointCopy]:
-        """Return the checkpoints of what is placed, if an agent does not know of it.
-
-        Such an agent, as one after a boot, has removed those that were in its folder.
-        """
+        """Return checkpoints of what is placed that an agent lost, as by a boot."""
         known = {c.key for c in deployment.components}
         copies = [
             self.agents.checkpoints.get(*placed.key)

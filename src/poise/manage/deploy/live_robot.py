@@ -1,8 +1,4 @@
-"""A robot's components, running: started, watched, moved, stopped.
-
-What should run is one record (`Desired`), which `commit` replaces; a reconciler brings
-the agents there. What does run is what they observed.
-"""
+"""A robot's components, running: started, waited for, ended."""
 
 from __future__ import annotations
 
@@ -208,10 +204,7 @@ class LiveRobot(DesiredState):
         self.agents.wait_news(self._raise_on_trouble, seconds)
 
     def unreached(self, *, is_brief: bool = False) -> dict[str, str]:
-        """Return what is known of each computer that is out of reach, in words.
-
-        `is_brief`: without what becomes of its components.
-        """
+        """Return what is known of computers out of reach; brief: not of components."""
         out_of_reach = self.agents.out_of_reach()
         heartbeats = self.agents.heartbeats
         heard_by = {name: heartbeats.heard_by(name) for name in out_of_reach}
@@ -274,13 +267,10 @@ class LiveRobot(DesiredState):
         limit: float,
         trouble: Callable[[], bool] | None = None,
     ) -> None:
-        """Wait until `wanted` are at their goals and their connectors are joined.
+        """Wait until `wanted` are at their goals, and joined to what they reach.
 
-        Those whose ends do not reach each other are joined later. While the robot
-        starts, an agent may be back in a moment, as on a board that is busy.
-
-        `trouble`: called at every news; raises to end the waiting. None: any trouble
-        does.
+        While the robot starts, an agent may be back in a moment, as on a busy board.
+        `trouble`: called at every news; raises to end it. None: any trouble does.
         """
         wanted = tuple(wanted)
         check = trouble or self._raise_on_trouble
@@ -301,10 +291,7 @@ class LiveRobot(DesiredState):
             raise NotReady(f"not ready within {limit:g} s: {missing}")
 
     def commit_lastingly(self, desired: Desired, why: str) -> None:
-        """Let something else run, and wait until each later manager will know of it.
-
-        Raises RunError: no majority of agents has stored it.
-        """
+        """Let something else run; RunError: no majority of agents has stored it."""
         self.commit(desired, why)
         generation = self.desired.generation
 
@@ -399,10 +386,7 @@ class LiveRobot(DesiredState):
         return [*unmet, *combined(faults)]
 
     def _joins(self, wanted: Iterable[Incarnation]) -> dict[str, tuple[str, str]]:
-        """Return the connectors of incarnations that reach each other.
-
-        Key -> the computers of its two ends.
-        """
+        """Return the keys of connectors whose ends reach each other -> computers."""
         new = {
             incarnation.component: incarnation
             for incarnation in wanted
@@ -529,10 +513,7 @@ class LiveRobot(DesiredState):
                 raise DoesNotStart(incarnation.component, "; ".join(combined(same)))
 
     def raise_on_lost(self, patience: float = 0.0) -> bool:
-        """Raise RunError when a computer is out of reach for `patience` [s] or more.
-
-        Unless it goes on without. What is out of reach is in the journal at once.
-        """
+        """Raise RunError when one is away for `patience` [s], while all are needed."""
         if self.goes_on_without_lost:
             return False
         now, before, sentences = self.clock.now(), self._away_since, self.unreached()

@@ -1,8 +1,4 @@
-"""Computers whose agents do not obey: out of reach, restarted, or another manager's.
-
-It only observes and tells. The reconciler claims the agents that are back, and tells
-them what should run.
-"""
+"""Computers whose agents do not obey: out of reach, restarted, or another manager's."""
 
 from __future__ import annotations
 
@@ -196,10 +192,7 @@ class LostComputers:
         live.journal.note("right", what)
 
     def _note_lost_states(self) -> None:
-        """Say what has begun again without its state: its process had ended, too.
-
-        What ends while its agent runs is said by that.
-        """
+        """Say what has begun again without its state: its process had ended, too."""
         live = self._live
         placed = {each.key: each for each in live.placed.values()}
         for key, computer in list(self._begin_again.items()):

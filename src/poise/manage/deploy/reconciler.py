@@ -1,13 +1,7 @@
 """Brings agents to what should run, whatever they were sent before.
 
-Each step compares what every agent reports with what should run on its computer, and
-takes the smallest step: it claims an agent that does not obey, or tells one what has
-changed. It waits for nothing and raises nothing. What an agent refuses, or does not
-answer in time, is a deviation, and is tried again.
-
-Of a move that was half done when the manager before ended, the target may be on a
-computer that is claimed. Its container knows whether that move was committed; its lease
-may have ended since.
+It waits for nothing and raises nothing: what an agent refuses, or does not answer in
+time, is a deviation, and is tried again.
 """
 
 from __future__ import annotations
@@ -172,13 +166,9 @@ def halt(number: int, container: str) -> MigrationSteps:
 class JoiningComputer:
     """Asks the containers of targets whether these count; waits for nothing.
 
-    Its agent gets the checkpoints that it lacks, before anything is started there.
-
-    `deployment`: what its agent works towards.
-    `is_cut_off`: whether its lease had ended when it was claimed.
-    `lacking`: copies of these checkpoints.
-    `committed`: component and epoch of targets that count. That of a container which
-    does not answer does, too: unknown is never taken for "no".
+    Its agent gets the checkpoints that it lacks before anything is started there.
+    `deployment`: what it works towards; `committed`: the targets that count. That of a
+    container which does not answer does, too: unknown is never taken for "no".
     """
 
     def __init__(
@@ -219,10 +209,7 @@ class JoiningComputer:
         )
 
     def is_known(self) -> bool:
-        """Take in what was answered, and ask the others again; return whether all is.
-
-        While the computer is out of reach nothing is known.
-        """
+        """Take in what was answered, and ask again; return whether all is known."""
         now = self._clock.now()
         asks = bool(self._targets or self._sent)
         if asks and not self._agents.obey(self._computer):

@@ -198,7 +198,7 @@ def _raise_on_successor(live: LiveRobot) -> None:
 
 
 def newest_record(deployments: Iterable[Deployment]) -> Desired:
-    """Return the record of the last commit that agents have stored; else an empty one.
+    """Return the record of the last commit that agents stored; else an empty one.
 
     With a majority of them it is at least that of the last commit that was answered.
     """
@@ -214,8 +214,7 @@ def _elected(
 ) -> dict[str, Deployment]:
     """Become the leader; return what the agents that voted for it work towards.
 
-    What others run has surely stopped then. Of what agents work towards, only that
-    counts which is in the newest record.
+    Of that only what is in the newest record counts: all else has surely stopped.
     """
     try:
         answers = live.agents.elect(take_over=by_force)
@@ -299,13 +298,11 @@ def _recorded(live: LiveRobot, record: Desired) -> list[ReportedIncarnation]:
 def _at_work(
     live: LiveRobot, reported: Sequence[ReportedIncarnation], record: Desired
 ) -> dict[str, str]:
-    """Return what works, with what its architectures lack, and layers that never stop.
+    """Return where all is to be that goes on, is new, or that architectures lack.
 
-    And what is planned of which nothing ran yet: it is new in the robot file, or in the
-    task. What works stays where it is, if it still may. What is lacking may be at work
-    on a computer that is out of reach: it counts as there, if it is allowed there, so
-    that it is not started twice. Else it goes where there is room. What is only idle
-    ends.
+    What works stays where it is, if it still may. What is lacking may be at work on a
+    computer that is out of reach: it counts as there, if it is allowed there, so that
+    it is not started twice. Else it goes where there is room. What is only idle ends.
     """
     allowed, wanted = allowed_computers(live.robot), live.placement()
     away = {c.name for c in live.robot.computers} - live.claimed
@@ -503,10 +500,7 @@ def _start(
 def _claim(
     live: LiveRobot, *, by_force: bool
 ) -> tuple[dict[str, Deployment], dict[str, str]]:
-    """Return what the agents work towards, and why some were not claimed.
-
-    Those are claimed once they answer.
-    """
+    """Return what agents work towards, and why others are to be claimed later."""
     deployments: dict[str, Deployment] = {}
     unclaimed: dict[str, str] = {}
     for number, computer in enumerate(sorted(live.computers())):

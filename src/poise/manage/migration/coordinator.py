@@ -1,11 +1,7 @@
 """The manager's side of a migration: new incarnations replace old ones, or do not.
 
-`poise.wire.records.migration_records` has the phases, and which may follow which. Until
-the migration is committed any failure rolls it back: the sources go on with all that
-waits for them, and the targets are removed. Source and target never work at the same
-time, even when answers get lost: after the commit no source resumes, and before it no
-target does. Why nothing is lost, doubled or reordered, and the model that checks it:
-docs/design/moves.md.
+Until the commit any failure rolls back; after it no source resumes, and before it no
+target does. Why nothing is lost, doubled or reordered: docs/design/moves.md.
 """
 
 from __future__ import annotations
@@ -131,10 +127,7 @@ class Migration:
         )
 
     def _is_known(self) -> bool:
-        """Return whether agents know of the commit, so that nobody rolls it back.
-
-        Those of the targets know what is active, those of the sources what is gone.
-        """
+        """Return whether agents of all targets, or all sources, know of the commit."""
         agents = self._live.agents
         statuses = agents.statuses()
         return any(
@@ -276,10 +269,7 @@ class Migration:
         limit: float,
         check: Callable[[], object] = lambda: None,
     ) -> list[StepsDone]:
-        """Let containers take steps, all at once; return what they answer.
-
-        `check`: called now and then while containers have not answered; may raise.
-        """
+        """Let containers take steps, until `check` raises; return their answers."""
         answers = []
         for _, outcome in self._outcomes(steps, limit, check):
             if not isinstance(outcome, StepsDone):
@@ -407,10 +397,7 @@ def _left(deadline: float) -> float:
 
 
 def stuck_components(live: LiveRobot) -> set[str]:
-    """Return the components that cannot move now: what is sent to them would be lost.
-
-    And those that send it.
-    """
+    """Return the ends of connectors that would lose messages if an end moved now."""
     return {
         end.component
         for connector, _, keep in _not_drained(live, live.placed)

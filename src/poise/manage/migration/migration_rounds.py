@@ -171,10 +171,7 @@ class MigrationRounds:
             yield _step("drain mailbox", self._sources[name])
 
     def _drain_channels(self, connectors: Iterable[Connector]) -> Iterator[PlacedStep]:
-        """Wait for the markers, over those connectors that get one.
-
-        Others' connectors get one only when they lead to a target, too.
-        """
+        """Wait for markers; others send one only where they lead to a target, too."""
         by_receiver: dict[str, list[Connector]] = {}
         for connector in connectors:
             source, receiver = connector.between
@@ -204,10 +201,7 @@ class MigrationRounds:
     def _by_container(
         self, connectors: list[Connector]
     ) -> Iterable[tuple[Incarnation, list[Connector]]]:
-        """Return connectors by one sender for each container that they begin in.
-
-        Containers that can take no step are left out.
-        """
+        """Return connectors by a sender in each container that can take a step."""
         found: dict[tuple[str, str], tuple[Incarnation, list[Connector]]] = {}
         for connector in connectors:
             sender = self._others[connector.between[0].component]
@@ -219,11 +213,7 @@ class MigrationRounds:
         return found.values()
 
     def _levels(self) -> list[list[str]]:
-        """Return the sources in the order in which they pause.
-
-        A caller pauses before its callee, and in a replacement a publisher before its
-        subscribers.
-        """
+        """Return the sources as they pause: callers first, or replaced, all senders."""
         leads = (
             (source.component, target.component)
             for source, target in (connector.between for connector in self._before)

@@ -1,10 +1,7 @@
 """Plans the move of a component, its replacement, or that of an architecture.
 
-Each is checked, and returned as a `PendingMigration` to be run.
-
-A component in Python takes its state along, and loses no call or message. A
-command-line component makes a cold move: it is stopped, and started at the target. The
-components of an architecture take over at once, or none does: it is one migration.
+Each is checked, and returned as a `PendingMigration` to be run. The components of an
+architecture take over at once, or none does: it is one migration.
 """
 
 from __future__ import annotations
@@ -39,10 +36,7 @@ from poise.wire.records.request_records import CheckpointCopy
 def plan_move(
     live: LiveRobot, component: str, computer: str, *, force: bool = False
 ) -> PendingMigration:
-    """Return the move of a running component to a computer, to be run.
-
-    `force`: as of `check_target`.
-    """
+    """Return the move of a component, to be run; `force`: as of `check_target`."""
     old = check_target(live, component, computer, force=force)
     return _pending(live, old, structs.replace(_next(live, old), computer=computer))
 
@@ -74,8 +68,7 @@ def check_target(
 ) -> Incarnation:
     """Return what is to move; UsageError when it may not.
 
-    `force`: whether it goes even when it is in the reactive or the deliberative layer;
-    only people may ask so.
+    `force`: whether it may leave a layer that does not move; only people may ask so.
     """
     old = _placed(live, component)
     known = [computer.name for computer in live.robot.computers]
@@ -253,10 +246,7 @@ def _with_checkpoint(
 def hand_checkpoint(
     live: LiveRobot, new: Incarnation, kept: CheckpointCopy | None
 ) -> tuple[Incarnation, Callable[[], None]]:
-    """Let an agent keep the state that a component has to go on from, if there is.
-
-    The callable journals that, once it is sure that the component starts there.
-    """
+    """Let its agent keep the state to go on from; return it, and what journals that."""
     if kept is None:
         return structs.replace(new, fresh=True), nothing
     mine = structs.replace(kept, epoch=new.epoch)
@@ -272,10 +262,7 @@ def _restart(
     new: Incarnation,
     kept: CheckpointCopy | None = None,
 ) -> MigrationReport:
-    """End an incarnation that has no state, or has failed, and then start the next.
-
-    When that fails, `old` runs again, with what was kept of it.
-    """
+    """End one that has no state, or has failed; start the next, or again that one."""
     began, reason = time.monotonic(), ""
     what, active = f"cold move of '{old.component}'", new.with_goal("active")
     try:

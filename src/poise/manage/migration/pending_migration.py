@@ -1,8 +1,4 @@
-"""A migration that was checked, and whose targets are configured before it begins.
-
-Meanwhile all else goes on: users' code may take long to be imported and configured. A
-preparation that makes no progress, or cannot be completed, ends with its reason.
-"""
+"""A migration that was checked, and whose targets are configured before it begins."""
 
 from __future__ import annotations
 
@@ -40,11 +36,9 @@ class Stall:
         self._faults_before = last_numbers(live.agents.statuses())
 
     def check(self, missing: list[str], wanted: Collection[Incarnation]) -> None:
-        """Raise RunError when nothing came nearer for `STALL_LIMIT`.
+        """Raise RunError when nothing comes nearer for `STALL_LIMIT`, or ends.
 
-        Users' code that is imported or configured may take longer. When it ends its
-        container, this raises at once: each try ends what else works there.
-
+        Users' code that is imported or configured may take longer.
         `missing`: what is waited for, in words.
         """
         self._raise_on_faults(wanted)
@@ -169,10 +163,7 @@ class PendingMigration:
         return not missing
 
     def _unmet(self) -> list[str]:
-        """Return what it waits for, in words: targets, and sources that rest.
-
-        Not sources that were stopped since, as their action has ended.
-        """
+        """Return what it waits for, in words: targets, and sources that rest."""
         ends = (*self._sources.values(), *self._targets)
         unsure = [
             f"computer '{computer}' is not heard, or was cut off"

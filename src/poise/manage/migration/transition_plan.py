@@ -1,11 +1,7 @@
 """From one placement to another: an ordered, checked plan of steps. Pure.
 
-No computer is overfull at any moment: a component goes to a computer only when that has
-room for all of its demand, and leaves room behind only when it has gone. Where CPU is
-shared, a computer may be as full as it is before or after, and fuller midway where
-nothing else could move. Where components wait for each other's room, one of them makes
-an intermediate move to a third computer; where none has room, one makes a cold move,
-and the plan says so.
+No computer is overfull at any moment, but in CPU where that is shared: as full as it is
+before or after, and fuller midway where nothing else could move.
 """
 
 from __future__ import annotations
@@ -28,10 +24,7 @@ def plan_transition(
     *,
     shares_cpu: bool = False,
 ) -> tuple[TransitionStep, ...]:
-    """Return the steps from placement `now` to `then`.
-
-    Stops come first, then moves, then starts; taking all steps yields `then`.
-    """
+    """Return the steps between two placements: stops, then moves, then starts."""
     return _Planner(robot, now, then, shares_cpu=shares_cpu).plan()
 
 

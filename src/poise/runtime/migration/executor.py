@@ -1,7 +1,6 @@
 """A container's side of a migration: it takes the steps that the manager sends.
 
-Each step is harmless when repeated, and leaves all as it was when it fails. A step that
-comes late is refused by the incarnation's phase, or undone by the next deployment.
+Each step is harmless when repeated, and leaves all as it was when it fails.
 """
 
 from __future__ import annotations
@@ -187,10 +186,7 @@ class MigrationExecutor(StepTaker):
                 participant.run(step, deadline)
 
     def _check_ports(self, step: Step) -> None:
-        """Raise PoiseError when a target does not fit its connectors.
-
-        The manager may not have heard yet that they could not be opened.
-        """
+        """Raise PoiseError when a target does not fit its connectors."""
         self._wiring.raise_on_trouble(step.component, step.epoch)
         epoch, _ = step.sources.get(step.component, (step.epoch, ""))
         before = self._runners.get((step.component, epoch))
@@ -233,11 +229,7 @@ class MigrationExecutor(StepTaker):
 def check_ports(
     component: str, before: Mapping[str, Port], after: Mapping[str, Port]
 ) -> None:
-    """Raise UsageError when the connectors of the code before do not fit other code.
-
-    They do where the robot's check would let both have them: a port has the type that
-    it had, and no port needs a connector that there is not.
-    """
+    """Raise UsageError when other code has a port of another type, or not joined."""
     for name, port in after.items():
         known = before.get(name)
         end = f"'{component}.{name}' {_shown(port)}"

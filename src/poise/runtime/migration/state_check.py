@@ -21,11 +21,7 @@ _WAYS_OUT = "let `poise replace` map it with --adapt, or drop it with --fresh"
 
 @cache
 def describe_type(type_: Any) -> str:  # noqa: ANN401, any type
-    """Return the fields of a message class, by name and type: equal when they fit.
-
-    Of `list[float]` only that it is a list: a state does not tell what it may hold,
-    and what it does hold is checked when it is restored.
-    """
+    """Return the fields of a message class; of `list[float]` only that it is a list."""
     type_ = without_alias(type_)
     type_ = get_origin(type_) or type_
     made_of = fingerprint(type_)

@@ -1,15 +1,9 @@
 """How the state goes from the source of a move to its target.
 
-The target requests the state, as a call: first while the source works (`Request.STATE`,
-for components that offer `snapshot_delta`), then everything (`Request.ALL`), which is
-answered once the source is paused and drained.
-
-When an architecture is replaced, a function of the user's, `adapt`, makes the states of
-the new components from those of the old ones, which are the fields of two messages::
-
-    def adapt(before: Before) -> After: ...
-
-It is run for every component in `After`, and asks for the states in `Before` alone.
+The target requests it, as a call: first while the source works (`Request.STATE`, for
+components that offer `snapshot_delta`), then everything, which is answered once the
+source is paused and drained. When an architecture is replaced, a function of the
+user's, `adapt`, makes the new states from the old ones: fields of two messages.
 """
 
 from __future__ import annotations

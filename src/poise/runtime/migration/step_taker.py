@@ -25,10 +25,7 @@ manager learns which step was too slow, and of what component."""
 
 
 class StepTaker(ABC):
-    """Takes steps in one container, on any thread.
-
-    `now`: the clock of steps [s].
-    """
+    """Takes steps in one container, on any thread; `now`: the clock of steps [s]."""
 
     def __init__(self, now: Callable[[], float]) -> None:
         self._now = now
