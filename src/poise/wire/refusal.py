@@ -28,35 +28,29 @@ _STRANGE = b"\x01\x00\x00"
 
 def why_refused(agent: Endpoint, keys: Credentials | None) -> str:
     """Return why an agent does not let in who has these keys; empty: unknown."""
-    try:
-        return _of_listener(agent, keys)
-    except OSError as error:
-        return f"{agent}: {error}"
+    return why_all_refused({"": agent}, keys)[""]
 
 
 def why_all_refused(
-    agents: Mapping[str, Endpoint], keys: Credentials | None
+    agents: Mapping[str, Endpoint],
+    keys: Credentials | None,
+    *,
+    if_not_there: bool = True,
 ) -> Mapping[str, str]:
-    """Return the same of agents, all asked at once: each may take seconds."""
-    with ThreadPoolExecutor(_MOST_AT_ONCE) as pool:
-        reasons = pool.map(lambda agent: why_refused(agent, keys), agents.values())
-        return dict(zip(agents, reasons, strict=True))
+    """Return agent -> why it refuses these keys, all asked at once; empty: unknown.
 
+    `if_not_there`: also those at whose address nothing listens.
+    """
 
-def refusals(
-    agents: Mapping[str, Endpoint], keys: Credentials | None
-) -> Mapping[str, str]:
-    """Return agent -> why it refuses these keys, for each that is listening."""
-    reasons: dict[str, str] = {}
+    def why(name: str) -> str | None:
+        try:
+            return _of_listener(agents[name], keys)
+        except OSError as error:
+            return f"{agents[name]}: {error}" if if_not_there else None
 
-    def ask(name: str) -> None:
-        with contextlib.suppress(OSError):  # nothing is there
-            why = _of_listener(agents[name], keys)
-            reasons[name] = why or "its agent gives no answer"
-
-    with ThreadPoolExecutor(_MOST_AT_ONCE) as pool:
-        list(pool.map(ask, agents))
-    return dict(sorted(reasons.items()))
+    with ThreadPoolExecutor(_MOST_AT_ONCE) as pool:  # each may take seconds
+        reasons = zip(agents, pool.map(why, agents), strict=True)
+        return {name: reason for name, reason in reasons if reason is not None}
 
 
 def _of_listener(agent: Endpoint, keys: Credentials | None) -> str:

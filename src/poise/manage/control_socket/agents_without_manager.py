@@ -136,11 +136,14 @@ def _raise_if_nothing_told(
 
 
 def _raise_if_refused(addresses: AgentAddresses, keys: Credentials | None) -> None:
-    from poise.wire.refusal import refusals  # noqa: PLC0415, `ssl` is slow
+    from poise.wire.refusal import why_all_refused  # noqa: PLC0415, `ssl` is slow
 
     agents = {name: endpoint_of(e) for name, e in addresses.endpoints.items()}
-    if reasons := refusals(agents, keys):
-        each = "".join(f"\n{name}: {why}" for name, why in reasons.items())
+    if reasons := why_all_refused(agents, keys, if_not_there=False):
+        each = "".join(
+            f"\n{name}: {why or 'its agent gives no answer'}"
+            for name, why in sorted(reasons.items())
+        )
         raise NoManager(
             f"whether robot '{addresses.robot}' runs is not known: none of its agents "
             f"answers{each}",
