@@ -1,9 +1,7 @@
 """The loop of adaptation: monitors, analyses, plans and executes.
 
-What it looks for, and what it does then, are the robot's policies. Each look makes one
-`Situation`; the responders are asked in the order of their table, and the change of the
-first that wants one is carried out. It is done by the manager's one thread, between
-commands. Everything it sees, decides and does is in the journal.
+Each look makes one `Situation`. The responders are asked in the order of their table,
+and the change of the first that wants one is carried out, by the manager's one thread.
 """
 
 from __future__ import annotations
@@ -13,6 +11,7 @@ import time
 from collections.abc import Callable, Mapping
 from functools import cache, partial
 
+from msgspec import Struct
 from msgspec.structs import replace
 
 from poise.clock import wall_time
@@ -48,14 +47,15 @@ _WELL_EVERY = 0.5
 """While nothing is wrong the robot is looked at this often [s]."""
 
 
-class Adaptation:
-    """Watches a running robot, and changes its placement when that helps.
+class _Reported(Struct):
+    """A symptom that was reported, and when its condition held last [s]."""
 
-    `acts`: whether it changes anything; else it only reports what is wrong.
-    `keep`: gets what policies see, each time that they are asked; None: nobody wants
-    it, and it is not computed.
-    `is_well`: returns whether nothing is known to be wrong; then it looks less often.
-    """
+    deviation: Deviation
+    held_at: float
+
+
+class Adaptation:
+    """Watches a running robot, and changes its placement when that helps."""
 
     def __init__(
         self,
@@ -63,9 +63,9 @@ class Adaptation:
         read: Callable[[], Situation],
         suspensions: Suspensions,
         *,
-        acts: bool = True,
-        keep: Callable[[Seen], object] | None = None,
-        is_well: Callable[[], bool] = lambda: False,
+        acts: bool = True,  # else it only reports what is wrong
+        keep: Callable[[Seen], object] | None = None,  # gets what policies see
+        is_well: Callable[[], bool] = lambda: False,  # then it looks less often
         clock: Callable[[], float] = time.monotonic,  # a time that never goes back [s]
     ) -> None:
         self._live = live
@@ -91,19 +91,14 @@ class Adaptation:
         )
         self._troubles: dict[str, tuple[str, Deviation]] = {}
         """Policy -> what is wrong with its function, in full and in short."""
-        self._reported: dict[Key, Deviation] = {}
-        self._held_at: dict[Key, float] = {}
-        """What was reported -> when its condition held last."""
+        self._reported: dict[Key, _Reported] = {}
         self._looked_at = -math.inf
         self.deviations: tuple[Deviation, ...] = ()
         self.hanging: tuple[str, ...] = ()
         """The components that policy `hang` is about now."""
 
     def adapt(self) -> None:
-        """Look at the robot once, and let the first responder act that wants to.
-
-        While all is well, and after a look that changed nothing, it looks less often.
-        """
+        """Look at the robot once, and let the first responder act that wants to."""
         is_early = self._clock() < self._looked_at + _WELL_EVERY
         if is_early and not self._policies.since and self._is_well():
             return
@@ -165,10 +160,7 @@ class Adaptation:
         return proposal, self._transitions.carry_out(proposal.steps)
 
     def what_if(self, component: str, computer: str) -> WhatIf:
-        """Return what a move would change, for a person who asks.
-
-        Raises UsageError when a cut link forbids it, or the computer is out of reach.
-        """
+        """Return what a move would change; UsageError when it cannot be made."""
         if away := self._live.unreached().get(computer):
             raise UsageError(away)
         situation = self._situation()
@@ -176,10 +168,7 @@ class Adaptation:
         return what_if(situation, component, computer)
 
     def check_asked(self, component: str, computer: str, *, force: bool) -> None:
-        """Check a move that a person asks for; journal it, and what else could be done.
-
-        Raises UsageError when a cut link or, unless `force`, a limit forbids it.
-        """
+        """Check and journal a move that a person asks for; UsageError: refused."""
         situation = self._situation()
         check_links(situation, component, computer)
         if not force:
@@ -197,10 +186,7 @@ class Adaptation:
         self._policies.close()
 
     def _report(self, situation: Situation) -> None:
-        """Journal each symptom when it has lasted, and when it is gone for `CALM`.
-
-        At the limit of a condition, each look may see another thing.
-        """
+        """Journal symptoms that have lasted, and that are gone for `CALM`."""
         note, now = self._live.journal.note, situation.now
         self._note_troubles(self._policies.troubles())
         for symptom in situation.symptoms:
@@ -208,21 +194,23 @@ class Adaptation:
             is_loss = symptom.policy.do == "fail over"
             is_loss = is_loss and symptom.values.name in situation.lost
             if symptom.key not in self._reported and not is_loss:
-                self._reported[symptom.key] = Deviation(
+                deviation = Deviation(
                     what=symptom.what, computer=symptom.computer, since=wall_time()
                 )
+                self._reported[symptom.key] = _Reported(deviation, now)
                 note("wrong", symptom.what, policies=saw([symptom]))
-        holding, before = self._policies.since, self._held_at
-        self._held_at = {k: now if k in holding else before[k] for k in self._reported}
-        for key, at in sorted(self._held_at.items()):
-            if now - at >= CALM:
-                note("right", self._reported.pop(key).end())
+        holding = self._policies.since
+        for key, reported in sorted(self._reported.items()):
+            if key in holding:
+                reported.held_at = now
+            elif now - reported.held_at >= CALM:
+                note("right", self._reported.pop(key).deviation.end())
         hangs = self._reported.keys() & holding.keys()
         self.hanging = tuple(sorted(key[1] for key in hangs if key[0] == "hang"))
         self.deviations = (
             *self._needs.deviations(),
             *(deviation for _, deviation in self._troubles.values()),
-            *self._reported.values(),
+            *(reported.deviation for reported in self._reported.values()),
         )
 
     def _note_troubles(self, troubles: Mapping[str, str]) -> None:

@@ -1,7 +1,4 @@
-"""Evaluates the policies of a robot: what holds now, and for how long.
-
-`model/shipped_policies.yaml` has those that Poise ships.
-"""
+"""Evaluates the policies of a robot: what holds now, and for how long."""
 
 from __future__ import annotations
 
@@ -39,10 +36,7 @@ _MARGIN = 0.5
 
 
 class OwnFunction:
-    """Asks a function what to do. All times are of one clock [s].
-
-    `trouble`: what is wrong with it, for people; empty: nothing.
-    """
+    """Asks a function what to do. All times are of one clock [s]."""
 
     def __init__(self, reference: str, folder: str) -> None:
         self._reference = reference
@@ -53,28 +47,16 @@ class OwnFunction:
         self._limit = IMPORT_LIMIT
         self._start_at = float("-inf")
         self._again = _AGAIN
-        self.trouble = ""
+        self.trouble = ""  # what is wrong with it, for people
 
-    def ask(self, seen: Seen) -> tuple[PolicyAction, ...]:
-        """Return what it said last; ask it again, if it has answered by now."""
+    def ask(self, seen: Seen, *, waits: bool = False) -> tuple[PolicyAction, ...]:
+        """Return what it said last, or with `waits` to this, and ask it again."""
         try:
             self._hear()
             self._ask(seen)
-        except (PoiseError, OSError) as error:
-            self._end(str(error), seen.at)
-        return self._actions
-
-    def answer(self, seen: Seen) -> tuple[PolicyAction, ...]:
-        """Ask it, and wait for what it says to this."""
-        self.ask(seen)
-        try:
-            while self._asked_at is not None and self._writer.is_waiting:
-                if not select.select([], [self._connection], [], self._limit)[1]:
-                    break
-                self._writer.flush()
-            if self._asked_at is not None:
-                select.select([self._connection], [], [], self._limit + _MARGIN)
-            self._hear()
+            if waits and self._asked_at is not None:
+                self._wait()
+                self._hear()
         except (PoiseError, OSError) as error:
             self._end(str(error), seen.at)
         return self._actions
@@ -98,6 +80,14 @@ class OwnFunction:
             self._asked_at = seen.at
         elif seen.at - self._asked_at > self._limit + _MARGIN:
             self._end(f"did not answer within {self._limit:g} s", seen.at)
+
+    def _wait(self) -> None:
+        """Wait until it has answered, or its time is over."""
+        while self._writer.is_waiting:
+            if not select.select([], [self._connection], [], self._limit)[1]:
+                break
+            self._writer.flush()
+        select.select([self._connection], [], [], self._limit + _MARGIN)
 
     def _hear(self) -> None:
         if self._asked_at is None:
@@ -163,7 +153,7 @@ class Symptom(Struct, frozen=True, kw_only=True):
 
     @property
     def key(self) -> Key:
-        """What makes it the same one as before."""
+        """What tells it apart from others, also later."""
         return _key(self.policy, self.values)
 
     @property
@@ -173,18 +163,12 @@ class Symptom(Struct, frozen=True, kw_only=True):
         return self.values.name if is_computer else self.key[2]
 
 
-Symptoms = tuple[Symptom, ...]
-
-
 _UNSEEN = 5.0
 """What is not reported any more counts as it was for this time [s]."""
 
 
 class Policies:
-    """The policies of one robot, and since when their conditions hold.
-
-    All times are of one clock that never goes back [s].
-    """
+    """The policies of a robot, and since when conditions hold [s, by one clock]."""
 
     def __init__(
         self,
@@ -215,14 +199,14 @@ class Policies:
             function.close()
 
     def evaluate(
-        self, read: Read, now: float, *, waits: bool = False, lacks_some: bool = False
-    ) -> Symptoms:
-        """Return the symptoms that have been there at every look for long enough.
-
-        `waits`: whether to wait for functions; else what they said last counts.
-        `lacks_some`: whether subjects may be missing only because their computer has
-        not reported since it was told what should run: nothing ends by that.
-        """
+        self,
+        read: Read,
+        now: float,
+        *,
+        waits: bool = False,  # for functions; else what they said last counts
+        lacks_some: bool = False,  # subjects of a computer that has not reported yet
+    ) -> tuple[Symptom, ...]:
+        """Return the symptoms that have been there at every look for long enough."""
         read = cache(read)  # several policies look at the same subjects
         holding = {
             _key(policy, subject): (policy, subject)
@@ -266,8 +250,7 @@ class Policies:
         wanted = {}
         seen = Seen.by(read, now) if self._functions else Seen(at=now)
         for policy, function in self._functions:
-            actions = function.answer(seen) if waits else function.ask(seen)
-            for action in actions:
+            for action in function.ask(seen, waits=waits):
                 whole, values = _resolved(policy, action, seen)
                 if values is not None:
                     self._names.add((whole.for_each or "", action.about))

@@ -83,15 +83,15 @@ def test_what_is_seen_of_a_large_robot_holds_nothing_up(
     assert function.ask(seen) == ()
     assert not function.trouble
     assert function._writer.is_waiting
-    (action,) = function.answer(msgspec.structs.replace(seen, at=0.1))
+    (action,) = function.ask(msgspec.structs.replace(seen, at=0.1), waits=True)
     assert (action.about, function.trouble) == ("left", "")
 
 
 @pytest.mark.parametrize("function", ["careful"], indirect=True)
 def test_it_sees_the_values_and_says_what_to_do(function: OwnFunction) -> None:
     action = PolicyAction(do="notify", about="left", why="left is busy")
-    assert function.answer(SEEN) == (action,)
-    assert function.answer(Seen(at=1.0)) == ()
+    assert function.ask(SEEN, waits=True) == (action,)
+    assert function.ask(Seen(at=1.0), waits=True) == ()
     assert not function.trouble
 
 
@@ -100,7 +100,7 @@ def test_what_it_prints_is_no_output_of_a_command(
     function: OwnFunction, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """It was in the midst of what `--json` prints."""
-    assert function.answer(SEEN) == ()
+    assert function.ask(SEEN, waits=True) == ()
     function.close()
     assert capfd.readouterr() == ("", "I look\n")
 
@@ -112,10 +112,10 @@ def test_the_manager_does_not_wait_for_it(function: OwnFunction) -> None:
 
 @pytest.mark.parametrize("function", ["broken"], indirect=True)
 def test_its_error_is_said_and_it_is_asked_again(function: OwnFunction) -> None:
-    assert function.answer(SEEN) == ()
+    assert function.ask(SEEN, waits=True) == ()
     assert function.trouble.endswith("ValueError: no idea\n")
     process = function._process
-    function.answer(SEEN)
+    function.ask(SEEN, waits=True)
     assert function._process is process
 
 
@@ -131,25 +131,25 @@ def test_its_error_is_said_and_it_is_asked_again(function: OwnFunction) -> None:
     indirect=["function"],
 )
 def test_what_is_no_action_is_said(function: OwnFunction, said: str) -> None:
-    assert function.answer(SEEN) == ()
+    assert function.ask(SEEN, waits=True) == ()
     assert function.trouble.endswith(said)
 
 
 @pytest.mark.parametrize("function", ["missing"], indirect=True)
 def test_a_function_that_there_is_not_is_said(function: OwnFunction) -> None:
-    function.answer(SEEN)
+    function.ask(SEEN, waits=True)
     assert "has no attribute 'missing'" in function.trouble
 
 
 @pytest.mark.parametrize("function", ["quiet"], indirect=True)
 def test_it_may_return_nothing(function: OwnFunction) -> None:
-    assert function.answer(SEEN) == ()
+    assert function.ask(SEEN, waits=True) == ()
     assert not function.trouble
 
 
 @pytest.mark.parametrize("function", ["hangs"], indirect=True)
 def test_one_that_hangs_is_ended_and_started_again_later(function: OwnFunction) -> None:
-    function.answer(SEEN)
+    function.ask(SEEN, waits=True)
     assert function.trouble == (
         "'mine:hangs' took too long and was ended: its limit is 1 s, and 20 s for its "
         "import; it is asked again in 10 s"
