@@ -1,10 +1,8 @@
 """Turns a profile into the demands that the planner reads.
 
 CPU demand is the 95th percentile over two seconds plus its part of the container, plus
-5 %. Memory demand is the peak plus its part of the container, plus 10 %. The overhead
-of a connector is the measured cost of being apart (`poise.estimate.demands`). Values
-in the robot file win over measured ones, but for a state, a message or a rate of 0,
-which says that the file does not know it.
+5 %. Memory demand is the peak plus its part of the container, plus 10 %. Values in the
+robot file win over measured ones, but for a state, a message or a rate of 0.
 """
 
 from __future__ import annotations

@@ -1,12 +1,8 @@
-"""Estimates the demand of a running component.
+"""Estimates the demand of a running component over the last `SPAN` seconds.
 
-The estimate covers the last `SPAN` seconds, and restarts when the demand has changed.
 The CPU time of a starved component is not its demand, nor is that of one that works off
 a backlog: the demand is then arriving jobs x CPU time per job, and while one job runs
-on, what that uses. Where CPU was to be had, jobs are not done for another reason: the
-component waits for a device, or for an answer. A job that runs on stands out when it
-has used several times the CPU of the costliest one before. Windows that give only a
-lower bound count only if they raise the estimate.
+on, what that uses. Windows that give only a lower bound count only if they raise it.
 """
 
 from __future__ import annotations
@@ -118,10 +114,7 @@ class Sums:
 
     @property
     def off_step(self) -> int:
-        """How many more jobs arrived than ended, or the other way round.
-
-        Where CPU was left, at most one counts that did not end: none lacked CPU.
-        """
+        """How many jobs arrived more or less than ended; 1 at most if CPU was left."""
         undone = self.asked - self.done
         return min(undone, 1) if undone > 0 and self._had_cpu_left else abs(undone)
 

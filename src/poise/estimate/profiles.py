@@ -151,10 +151,7 @@ def scaled(distribution: Distribution, factor: float) -> Distribution:
 
 
 def rolling_means(values: Sequence[float], size: int) -> list[float]:
-    """Return the mean of every `size` values that follow each other.
-
-    The mean of all when there are fewer.
-    """
+    """Return the mean of every `size` values in a row; of all when there are fewer."""
     size = max(1, min(size, len(values)))
     total = sum(values[:size])
     means = [total / size]

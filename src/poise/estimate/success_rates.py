@@ -129,13 +129,9 @@ def learned(
     conditions: Conditions = WELL,
     explore: bool = False,
     seed: int = 0,
-    compares: bool = False,
+    compares: bool = False,  # with others: what has no alternative counts as well
 ) -> Learned:
-    """Return the robot with learned success: the mean over actions of a function.
-
-    `compares`: other actions are compared with these, so functions without alternatives
-    count as well, and what was not tried yet.
-    """
+    """Return the robot with learned success: the mean over actions of a function."""
     explore, actions = explore or robot.explore, tuple(actions)
     wants_untried = explore or compares
     groups: dict[str, list[Architecture]] = {}
@@ -180,8 +176,8 @@ def with_success(
 ) -> Robot:
     """Return the robot with how often these actions succeed, where that was learned.
 
-    An outcome of an action is noted for all its functions: the one that succeeds least
-    often counts, with the best architecture for it.
+    Of an action's functions the one that succeeds least often counts, with the best
+    architecture for it.
     """
     actions = tuple(actions)
     functions = dict.fromkeys(f for action in actions for f in action.functions)

@@ -35,10 +35,7 @@ from poise.units import named
 
 
 class Actions:
-    """Carries out actions on a running robot, one about one subject at a time.
-
-    `act` raises PoiseError when an action is refused or fails.
-    """
+    """Carries out policies' actions; `act` raises PoiseError when one fails."""
 
     purpose = "carry out policies"
 
@@ -275,10 +272,7 @@ def _crashed_before(
 
 
 def _components_in(live: LiveRobot, symptom: Symptom) -> list[str]:
-    """Return the components of the container that a symptom is about.
-
-    Not those that are held: they may be at work elsewhere.
-    """
+    """Return the components in a symptom's container; held ones may work elsewhere."""
     return sorted(
         name
         for name, incarnation in live.placed.items()

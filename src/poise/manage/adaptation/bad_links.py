@@ -126,10 +126,7 @@ def wasted(
 
 
 def check_links(situation: Situation, component: str, computer: str) -> None:
-    """Raise UsageError when a link is cut that a move needs.
-
-    A state crosses from where it is; connectors are joined before anything moves.
-    """
+    """Raise UsageError when a link is cut that a move needs."""
     cut = [state for state in states_of(situation) if state.cut]
     source = situation.placement.get(component)
     if not cut or source is None or situation.robot.component(component).command:
@@ -169,10 +166,7 @@ def _cross(connectors: Sequence[str]) -> str:
 
 
 def with_bad_links(robot: Robot, bad: Sequence[LinkState]) -> Robot:
-    """Return the robot with the ends of bad links as far apart as they seem now.
-
-    Connectors without a known cost count as much as the cheapest one.
-    """
+    """Return the robot with the ends of bad links as far apart as they seem now."""
     if not bad:
         return robot
     distances = {

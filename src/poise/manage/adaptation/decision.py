@@ -1,14 +1,7 @@
 """Whether another placement is worth its moves. Pure.
 
-Gain is work that would be done and is not: what computers are short of and would not be
-there, by priority, and what is computed in vain because chains are late or connectors
-cross links that are cut or slow. The cost of a move is what its component would have
-done meanwhile, and the CPU time of starting it there.
-
-The gain is taken to go on for as long as something has been wrong, and for half a
-minute at least. Of all placements the one is proposed that leaves least work undone
-within this time, moves included, so each of its moves earns its own cost. When that is
-carried out is up to `LossSuffered`.
+Gain is work that would be done and is not; the cost of a move is what its component
+would have done meanwhile, and its start. docs/design/decisions.md has the rule.
 """
 
 from __future__ import annotations
@@ -65,32 +58,22 @@ _LEAST = 1e-6
 
 
 class Decision(Struct, frozen=True, kw_only=True):
-    """What is best done about symptoms.
+    """What is best done about symptoms."""
 
-    `acts`: whether something should change; when, is up to what has been lost so far.
-    `why`: a sentence for people.
-    `proposal`: where the components should run; None: there is nothing better.
-    `gain`: work that would be done more [cores]; that of higher priorities counts more.
-    `cost`: work that is lost by the moves [core-seconds].
-    `undone`: work that is not done as it is [cores].
-    """
-
-    acts: bool
-    why: str
-    proposal: Proposal | None = None
-    gain: float = 0.0
-    cost: float = 0.0
-    undone: float = 0.0
+    acts: bool  # whether something should change; when, is up to `LossSuffered`
+    why: str  # for people
+    proposal: Proposal | None = None  # None: nothing is better than what is
+    gain: float = 0.0  # work that would be done more, by priority [cores]
+    cost: float = 0.0  # work that is lost by the moves [core-seconds]
+    undone: float = 0.0  # work that is not done as it is [cores]
 
 
 def decide(
-    situation: Situation, horizon: float = HORIZON, doubt: float = 1.0
+    situation: Situation,
+    horizon: float = HORIZON,  # the present load lasts for this time [s]
+    doubt: float = 1.0,  # how many times costs count, >= 1
 ) -> Decision:
-    """Return whether to change the placement, and why.
-
-    `horizon`: for how long the present load is expected to last [s].
-    `doubt`: how many times costs count, >= 1.
-    """
+    """Return whether to change the placement, and why."""
     gone = _gone(situation)
     situation = _with_urgency(situation.of_running_components())
     bad = bad_links(situation)
@@ -249,10 +232,7 @@ def _with_fewer(situation: Situation) -> Decision | None:
 
 
 def shortages_of(situation: Situation) -> dict[str, float]:
-    """Return what components of each computer need and it does not have [cores].
-
-    That is beside what other programs may want, and the reserve.
-    """
+    """Return computer -> CPU that its components need and do not have [cores]."""
     left = situation.left()
     demands = {name: now.counted for name, now in left.shifted.items()}
     return missing_cpu(left.robot, left.placement, demands)

@@ -67,10 +67,7 @@ def what_if(situation: Situation, component: str, computer: str) -> WhatIf:
 
 
 class Alternative(Struct, frozen=True, kw_only=True):
-    """What else could have been done: a single move, or nothing.
-
-    Components that must share a computer move together.
-    """
+    """What else could have been done: a single move, or nothing."""
 
     what: str  # for people
     total: float  # f, with the cost of the move, and of CPU that is short
@@ -81,10 +78,7 @@ class Alternative(Struct, frozen=True, kw_only=True):
 
 
 def alternatives(situation: Situation) -> tuple[Alternative, ...]:
-    """Return what could be done now: first nothing, then single moves, the best first.
-
-    None when some component can run nowhere.
-    """
+    """Return what could be done now: first nothing, then single moves by worth."""
     situation = situation.of_running_components()
     now, costs = situation.placement, move_costs(situation)
     try:
@@ -168,10 +162,7 @@ def _load(
 
 
 def check_move(situation: Situation, component: str, computer: str) -> None:
-    """Raise UsageError when a component does not fit on a computer with all others.
-
-    Limits that are broken without it do not count.
-    """
+    """Raise UsageError when a move breaks a limit that is not broken without it."""
     allowed = allowed_computers(situation.robot, layers_stay=False)
     if component not in situation.placement or computer not in allowed[component]:
         return  # the move itself says so

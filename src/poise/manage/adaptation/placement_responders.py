@@ -1,9 +1,4 @@
-"""Responders that change the placement.
-
-What was on a lost computer restarts elsewhere; when something is wrong, another
-placement is decided on, and when a computer is back, it is used again. `when_to_act`
-says when a change is worth its moves.
-"""
+"""Responders that change the placement; `when_to_act` says when that is worth it."""
 
 from __future__ import annotations
 
@@ -103,14 +98,14 @@ class FailoverResponder:
 
 
 def plan_failover(
-    situation: Situation, lost: Collection[str], stuck: Collection[str] = ()
+    situation: Situation,
+    lost: Collection[str],
+    stuck: Collection[str] = (),  # components that cannot move now
 ) -> FailoverPlan:
     """Return where the components of lost computers can run.
 
     All run that memory and devices allow: CPU that is short is shared by priority. What
     works moves when only that makes room; else it is moved later, if that is worth it.
-
-    `stuck`: components that cannot move now, as `stuck_components` has them.
     """
     allowed = allowed_computers(situation.robot)
     pinned = pinned_components(situation.robot)
@@ -152,10 +147,7 @@ def plan_failover(
 def _by_priority(
     situation: Situation, kept: Homes, stranded: Homes, missing: Mapping[str, str]
 ) -> FailoverPlan:
-    """Return what fits of the stranded, the highest priority first.
-
-    Architectures that run are suspended for higher ones only, and then wholly.
-    """
+    """Return what fits of the stranded; what runs gives way to higher priorities."""
     placement: dict[str, str] = {}
     suspended: tuple[str, ...] = ()
     missing = dict(missing)
@@ -206,22 +198,18 @@ _THINK_EVERY = 0.5
 
 
 class Transitions:
-    """The transitions that the loop made, and what limits the next one.
-
-    `clock`: the one of situations [s].
-    `downtimes`: component -> the downtime of its last move [s].
-    """
+    """The transitions that the loop made, and what limits the next one."""
 
     def __init__(
         self,
         live: LiveRobot,
         policies: Policies,
         suspensions: Suspensions,
-        clock: Callable[[], float],
+        clock: Callable[[], float],  # the one of situations [s]
     ) -> None:
         self.live = live
         self.limits = MoveLimits()
-        self.downtimes: dict[str, float] = {}
+        self.downtimes: dict[str, float] = {}  # of the last move of each component [s]
         self.loss = LossSuffered()
         self.policies = policies
         self._suspensions = suspensions
@@ -328,10 +316,7 @@ class ReplanResponder:
 
 
 class UseAgainResponder:
-    """Thinks once about each computer that is back, when nothing is wrong.
-
-    By then what components need there, and beside it, has been measured again.
-    """
+    """Thinks once about each computer that is back for a while, if all is well."""
 
     purpose = "use computers that are back"
 

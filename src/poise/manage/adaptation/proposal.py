@@ -1,13 +1,7 @@
 """Computes a new placement for a running robot, from its present demands.
 
-A chain's data is as old as was measured. Elsewhere it would be younger, or older, by
-the wires that connectors cross there. What is late for other reasons stays late.
-
-CPU may be short: it is shared by priority then (`poise.plan.share_cpu`), and a
-placement is better the less is short. What a robot leaves free where it can are
-margins, which count for less: what other programs may want besides, what demands may
-grow by, and the reserve, which is used first. Where components are late, the reserve
-counts like all else.
+CPU may be short: it is shared by priority then (`poise.plan.share_cpu`). The wires that
+connectors cross elsewhere change how old data is; what else makes it late stays.
 """
 
 from __future__ import annotations
@@ -37,14 +31,14 @@ says."""
 
 
 def with_time_limits(
-    problem: plan.Problem, situation: Situation, price: float
+    problem: plan.Problem,
+    situation: Situation,
+    price: float,  # as in `share_what_is_left`
 ) -> plan.Problem:
     """Return the problem whose limits of chains say what was measured.
 
     The components of a chain whose data is late compute in vain: F grows by as much as
     if their CPU were short.
-
-    `price`: what F grows by for each core that is short, of the lowest priority.
     """
     needs = {
         c.name: c.demand.get("cpu", 0.0)
@@ -67,12 +61,9 @@ def _measured(
     chain: ChainAge,
     links: Mapping[frozenset[str], Link],
     price: float,
-    needs: Mapping[str, float],
+    needs: Mapping[str, float],  # component -> its CPU [cores]
 ) -> plan.TimeLimit | None:
-    """Return a chain's limit as it is measured; None: it is late wherever it runs.
-
-    `needs`: component -> its CPU [cores].
-    """
+    """Return a chain's limit as it is measured; None: it is late wherever it runs."""
     age, on_wires, hops = chain.ages[chain.last], 0.0, []
     price *= sum(needs[name] for name in chain.computers)
     if chain.is_late:
@@ -97,10 +88,7 @@ STARVED = 0.1
 
 
 def nothing_helps(situation: Situation, gone: str = "") -> str:
-    """Return that no placement helps what is late, for people.
-
-    `gone`: the components that were lost with their computers, in words.
-    """
+    """Return that no placement helps what is late, for people."""
     starved = ", ".join(
         f"'{demand.component}' does not do {demand.estimate.starved:.0%} of its work"
         for demand in situation.estimates_at_work()
@@ -179,23 +167,16 @@ _BACKGROUND, _HEADROOM, _RESERVE = 0.05, 0.02, 0.005
 
 def propose(
     situation: Situation,
-    move: float = 0.0,
+    move: float = 0.0,  # what F grows by for a move, and for each MB of its state
     *,
-    costs: Mapping[str, float] | None = None,
-    price: float | None = None,
-    fewer: bool = False,
-    is_quick: bool = False,
+    costs: Mapping[str, float] | None = None,  # component -> the same, instead
+    price: float | None = None,  # as in `share_what_is_left`
+    fewer: bool = False,  # whether some are suspended until no CPU is short
+    is_quick: bool = False,  # why nothing fits is not looked for
 ) -> Proposal:
     """Return a better placement for a running robot, and the way to it.
 
-    `move`: what F grows by for every component that moves, plus as much for each MB of
-    its state; >= 0.
-    `costs`: component -> what F grows by when it moves, instead of `move`.
-    `price`: as in `share_what_is_left`.
-    `fewer`: whether architectures are suspended by priority until no CPU is short.
-    `is_quick`: whether the robot waits: then why nothing fits is not looked for.
-    Raises RobotError: the task fits nowhere with these demands, or there is no way to
-    the placement.
+    Raises RobotError: what runs fits nowhere with these demands, or no way leads there.
     """
     now, robot = situation.placement, situation.robot_now
     present = problem_now(situation, move, costs=costs)
@@ -261,8 +242,7 @@ def share_what_is_left(
     """Return the problem with the CPU that other programs leave, shared by priority.
 
     `price`: what F grows by for each core that is short, of the lowest priority, where
-    the robot's weights are such that other terms come to 1; None: far more than by all
-    other terms.
+    other terms come to 1; None: far more than by all other terms.
     """
     if price is not None:
         bad = [k for k in problem.links if "-".join(k.between) in situation.bad_links]
@@ -281,16 +261,12 @@ def share_what_is_left(
 
 
 class _Room(NamedTuple):
-    """What components may use of a computer [cores].
+    """What components may use of a computer [cores]."""
 
-    All that other programs leave now; beside what they may want; beside what demands
-    may grow by, too; and all but the reserve.
-    """
-
-    all: float
-    beside_others: float
-    beside_growth: float
-    usable: float
+    all: float  # what other programs leave now
+    beside_others: float  # what they leave when they get what they want
+    beside_growth: float  # that, without what demands may grow by
+    usable: float  # all but the reserve
 
 
 def _room(computer: Computer, load: Load | None) -> _Room:

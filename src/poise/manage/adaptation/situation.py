@@ -97,10 +97,7 @@ class Situation(Struct, frozen=True, kw_only=True, dict=True):
         return self._without(self.lost) if self.lost else self
 
     def of_running_components(self) -> Situation:
-        """Return the same without what is out of reach, and what runs nowhere else.
-
-        Nothing moves from or to what is out of reach.
-        """
+        """Return the same without what is out of reach: nothing moves there."""
         gone = self.unreached
         if not gone:
             return self
@@ -165,10 +162,7 @@ class Situation(Struct, frozen=True, kw_only=True, dict=True):
         )
 
     def amounts(self) -> dict[str, float]:
-        """Return what decides on a placement: CPU that is left, and needed [cores].
-
-        And which links are bad, at any amount.
-        """
+        """Return what decides on a placement: CPU [cores], and bad links."""
         left = {
             f"on {computer.name}": computer.capacity.get("cpu", 0.0)
             for computer in self.computers_left()

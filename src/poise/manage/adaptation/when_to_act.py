@@ -1,16 +1,8 @@
-"""When to change the placement: what a rule with a guarantee says.
+"""When to change the placement: when the work lost without it equals its cost.
 
-A change that helps costs its moves, and nobody knows for how long it will help. So it
-is made when the work that was lost because it had not been made equals its cost, as one
-buys skis when the rents paid come to their price (Karlin, Manasse, Rudolph, Sleator
-1988; for more than two states Borodin, Linial, Saks 1992, metrical task systems). Then
-moves never cost more than the losses that led to them. docs/design/decisions.md says
-how far from the best this is at worst.
-
-What a change gains is a forecast. When it turns out to have gained less than half, as
-where other programs follow the components, costs count twice from then on, and twice
-again; each change that gains what it should takes half of such a step back. So what
-gains only every other time comes to rest.
+This is ski rental (Karlin, Manasse, Rudolph, Sleator 1988): docs/design/decisions.md
+says how far from the best it is at worst. After a change that gained less than half of
+its forecast, costs count twice; one that gained it takes half of such a step back.
 """
 
 from __future__ import annotations
@@ -60,10 +52,7 @@ class MoveLimits:
         self._in_vain: tuple[float, Amounts] | None = None
 
     def is_backing_off(self, now: float, amounts: Amounts | None = None) -> bool:
-        """Return whether to wait: a transition settles, or nothing could be done.
-
-        The second ends when `amounts` have changed since.
-        """
+        """Return whether a move settles, or nothing can be done for these amounts."""
         if self._in_vain is not None and amounts is not None:
             at, before = self._in_vain
             if now >= at + CHANGED_AFTER and has_changed(before, amounts):
@@ -129,27 +118,18 @@ MOST_DOUBT = 1024.0
 
 
 class LossSuffered:
-    """What was lost because a better placement was not taken.
-
-    Times are of one clock [s].
-
-    `lost`: since the last change [core-seconds]; `doubt`: how many times a cost counts,
-    >= 1: twice more after each change in vain.
-    """
+    """What was lost because a better placement was not taken; times are in [s]."""
 
     def __init__(self) -> None:
-        self.lost = 0.0
-        self.doubt = 1.0
+        self.lost = 0.0  # since the last change [core-seconds]
+        self.doubt = 1.0  # how many times costs count, >= 1
         self._change: _Change | None = None
         self._gain = 0.0
         self._at: float | None = None
         self._begins = self._ended = float("-inf")
 
     def note(self, gain: float, since: float, now: float) -> None:
-        """Take note of what the best change would gain now [cores].
-
-        `since`: when it began that something is wrong [s].
-        """
+        """Note what the best change would gain now [cores]; it is wrong `since` [s]."""
         if self._at is None:
             if now - self._ended > FORGET_AFTER:
                 self.lost = 0.0

@@ -24,7 +24,7 @@ def placed_beside(situation: Situation, homes: Homes) -> plan.Result:
     """Return where components run with least work undone; CPU that is short is shared.
 
     Those without homes do not count. To move one that works on one of its homes costs
-    what it would have done meanwhile. Why nothing fits is not looked for.
+    what it would have done meanwhile.
     """
     robot = _what_is_left(situation, homes, situation.robot.computers)
     problem = _problem_of(situation, robot)
@@ -42,10 +42,7 @@ def placed_beside(situation: Situation, homes: Homes) -> plan.Result:
 def room_for_components(
     situation: Situation, components: Collection[str], not_on: Collection[str] = ()
 ) -> Mapping[str, str]:
-    """Return where components fit beside all others; empty: they do not.
-
-    Why they do not is not looked for.
-    """
+    """Return where components fit beside all others; empty: they do not."""
     allowed = allowed_computers(situation.robot)
     homes: dict[str, tuple[str, ...]] = {
         n: (at,) for n, at in situation.placement.items() if at not in situation.lost

@@ -1,8 +1,7 @@
 """Load shedding: suspends architectures for lack of room, and resumes them.
 
 Which architectures do not run is read from the placement, so that a manager that takes
-over knows it, too. A function is available while all components of an architecture that
-provides it are placed on computers within reach.
+over knows it, too.
 """
 
 from __future__ import annotations
@@ -63,10 +62,7 @@ class Suspensions:
         """The architectures that stopped because their task lacks another function."""
 
     def suspend(self, names: Iterable[str], why: str, now: float) -> bool:
-        """Stop architectures; return whether that went well.
-
-        Their state is lost.
-        """
+        """Stop architectures, whose state is lost; return whether that went well."""
         live, names = self._live, tuple(names)
         components: dict[str, str] = {}
         for name in names:
@@ -174,10 +170,7 @@ class Suspensions:
         return has_news
 
     def _stop(self, components: Mapping[str, str]) -> bool:
-        """Stop components; those on computers that are out of reach once they are back.
-
-        Returns whether all others have stopped; else they go on.
-        """
+        """Stop components, unreached ones once they are back; return whether it did."""
         live, away = self._live, self._live.agents.out_of_reach()
         here = {name: at for name, at in components.items() if at not in away}
         steps = tuple(TransitionStep(*each) for each in sorted(here.items()))
@@ -230,10 +223,7 @@ class Suspensions:
 
 
 def not_running(robot: Robot, placed: Iterable[str]) -> list[Architecture]:
-    """Return what its tasks need and does not run, the highest priority first.
-
-    Of alternatives all are listed, the best one first.
-    """
+    """Return what tasks need and does not run, by priority, then by quality."""
     there = set(placed)
     functions = {*robot.functions_of()}
     running = {
@@ -257,10 +247,7 @@ class NeededFunctions:
         self._said: dict[str, Deviation] = {}
 
     def evaluate(self, situation: Situation, now: float) -> AbstractSet[str]:
-        """Say what is missing or back; return what is needed and is missing.
-
-        What comes back within moments, as by a fail-over, does not count.
-        """
+        """Say what has been missing or is back; return what is needed and missing."""
         missing, tasks = missing_functions(situation), situation.robot.tasks
         needed = {name for task in tasks for name in task.needs}
         stopped = situation.stopped(self._said.keys() & missing).functions
@@ -355,10 +342,7 @@ class StopWithoutNeeded:
 
 
 class ResumeSuspended:
-    """Starts what fits again beside the running components, the highest priority first.
-
-    What runs stays where it is.
-    """
+    """Starts what fits again beside the running components, the highest priority first."""
 
     purpose = "start suspended architectures again"
 
@@ -412,10 +396,7 @@ class ResumeSuspended:
     def _choices(
         self, due: list[Architecture], situation: Situation
     ) -> list[Sequence[Architecture]]:
-        """Return what may be taken back together, the best first.
-
-        While a task lacks needed functions, that is nothing of it but all of them.
-        """
+        """Return what may be taken back together: all that a task needs, or one."""
         choices: list[Sequence[Architecture]] = []
         missing, function = situation.missing, attrgetter("function")
         tasks, stopped = situation.stopped(missing)

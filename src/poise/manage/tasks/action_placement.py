@@ -40,15 +40,14 @@ class Room(Struct, frozen=True, kw_only=True):
 
 
 def room_for_functions(
-    situation: Situation, functions: Iterable[str], by_plan: Mapping[str, str]
+    situation: Situation,
+    functions: Iterable[str],
+    by_plan: Mapping[str, str],  # component -> computer; it counts where it fits
 ) -> Room:
     """Return where functions go, beside their running components.
 
     What runs stays where it is, if all fits so; else it moves where it may. If all runs
     already, it needs no more room, whatever other programs take meanwhile.
-
-    `by_plan`: component -> computer, as the plan over time has it; it counts where it
-    fits.
     """
     here = situation.within_reach()
     robot = _with_chosen(here.left().robot_now, here.placement)
@@ -135,10 +134,7 @@ class LikelyAction(Struct, frozen=True, kw_only=True):
 
 
 class PlanOverTime:
-    """The placements of the phases of a robot's tasks, made when first asked for.
-
-    `solve_steps`: how much the planner searches; None: as its time allows.
-    """
+    """The placements of the phases of a robot's tasks, made when first asked for."""
 
     def __init__(self, robot: Robot, solve_steps: int | None = None) -> None:
         self._robot = robot
@@ -148,11 +144,7 @@ class PlanOverTime:
     def placement(
         self, task: str, actions: tuple[str, ...], functions: tuple[str, ...]
     ) -> Mapping[str, str]:
-        """Return where what provides functions runs while actions do.
-
-        Empty when the plan does not know. Of several phases with these actions the
-        first counts.
-        """
+        """Return where functions are provided while actions run; empty: unknown."""
         result = self._of(task)
         wanted = self._robot.components_for(functions)
         for name, phase in result.results.items() if result else ():
@@ -178,12 +170,9 @@ def likely_next(
     plans: PlanOverTime,
     running: Mapping[str, str],
     idle: Mapping[str, str],
-    served: Collection[str] = (),
+    served: Collection[str] = (),  # functions that run, maybe by other alternatives
 ) -> list[LikelyAction]:
-    """Return what may be needed next and does not run, the most probable first.
-
-    `served`: functions that run already, maybe by other alternatives than planned.
-    """
+    """Return what may be needed next and does not run, the most probable first."""
     actions = []
     for record, attempt, probability in upcoming:
         functions = tuple(f for f in attempt.action.functions if f not in served)
@@ -266,10 +255,7 @@ class Admission:
         return whole
 
     def _exchangeable(self, new: Iterable[tuple[TaskRecord, Attempt]]) -> set[str]:
-        """Return what runs, has alternatives, and is used by no action at work.
-
-        Components of functions that actions need which are to begin (`new`).
-        """
+        """Return what runs for no action at work, and has alternatives for new ones."""
         going = self._tasks.going()
         at_work = {
             function

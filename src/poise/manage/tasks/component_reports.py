@@ -33,14 +33,11 @@ class EndReport(Struct, frozen=True):
 
 
 class ComponentReports:
-    """Hears what the components of a run say, once.
-
-    `heard`: component -> epoch -> the number of its last request that was heard.
-    """
+    """Hears what the components of a run say, once."""
 
     def __init__(self, live: LiveRobot, heard: dict[str, dict[int, int]]) -> None:
         self._live = live
-        self._heard = heard
+        self._heard = heard  # component -> epoch -> number of the last request heard
 
     def ends(self) -> Mapping[str, EndReport]:
         """Return what was said at each port that ends an action, as component.port."""
@@ -114,10 +111,7 @@ class Serving:
     def replaceable(
         self, lost: Collection[str], functions: Collection[str]
     ) -> list[str]:
-        """Return the placed components of what cannot come back and has an alternative.
-
-        Of what provides functions, and has a component pinned to a lost computer.
-        """
+        """Return placed components that cannot come back, but have an alternative."""
         robot, placed = self._live.robot, self._live.placed
         provided = Counter(a.function for a in robot.architectures)
         pinned, found = pinned_components(robot), list[str]()

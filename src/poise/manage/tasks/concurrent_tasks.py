@@ -1,7 +1,4 @@
-"""Several tasks at once: which of them may run now, and how they are. Pure.
-
-Times are given, in [s since 1970].
-"""
+"""Several tasks at once: which of them may run now, and how they are. Pure."""
 
 from __future__ import annotations
 
@@ -38,11 +35,7 @@ MOST_OVER = 20
 
 
 class Tasks:
-    """The tasks of a robot that were started.
-
-    `wall`: returns the time of day [s since 1970] of a `now` of the methods, for
-    people. `now` itself is a time [s] that never steps.
-    """
+    """The tasks of a robot that were started; `now` is a time [s] that never steps."""
 
     def __init__(
         self,
@@ -50,7 +43,7 @@ class Tasks:
         say: Callable[[str], object] = lambda _: None,
         choose: Choose = lambda *_: 0,
         saved: Saved | None = None,
-        wall: Callable[[float], float] = wall_time_at,
+        wall: Callable[[float], float] = wall_time_at,  # `now` -> [s since 1970]
     ) -> None:
         self._robot = robot
         self._tasks = {task.name: task for task in robot.tasks}
@@ -245,10 +238,7 @@ class Tasks:
         return self._steps[record.name].next_actions(record.progress)
 
     def _by_rank(self) -> list[TaskRecord]:
-        """Return what is not over or paused, the most important first.
-
-        Of the same priority, what is at work keeps what it has.
-        """
+        """Return what is not over or paused, by priority, then what is at work."""
         records = [r for r in self.records if r.state not in _HALTED]
         if len(records) > 1:  # whether one is at work takes a walk through its steps
             records.sort(key=lambda r: (-r.priority, not self._is_at_work(r), r.order))

@@ -124,10 +124,7 @@ class _Preparation(Struct):
 
 
 class Prefetcher:
-    """What waits, prepared, for actions that have not begun.
-
-    `clock`: a time that never goes back [s].
-    """
+    """What waits, prepared, for actions that have not begun."""
 
     def __init__(
         self, live: LiveRobot, clock: Callable[[], float] = time.monotonic

@@ -16,10 +16,7 @@ from poise.wire.codec import MALFORMED
 
 
 def goes_on_with(live: LiveRobot, asked: Tasks, journal: Journal) -> Saved:
-    """Return the tasks that go on: those of the manager before, and those asked for.
-
-    `asked`: what this manager was to start; what runs already goes on where it was.
-    """
+    """Return the tasks that go on: those of the manager before, and those asked for."""
     if not live.has_taken_over or not live.desired.tasks:
         return asked.saved
     note = journal.note

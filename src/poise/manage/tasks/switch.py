@@ -2,10 +2,6 @@
 
 A prepared component is configured, inactive and joined to nothing. It keeps its state
 and uses memory, but no CPU; it becomes active within moments.
-
-An idle one costs memory, one that is started again costs CPU. It stays for as long as
-the share of its computer's memory that it holds adds up to what its start took, so
-that both together cost at most twice what they would if the future were known.
 """
 
 from __future__ import annotations
@@ -32,14 +28,11 @@ from poise.model.robot import Architecture
 
 
 def prepare(
-    live: LiveRobot, placement: Mapping[str, str], cpu: Mapping[str, float]
+    live: LiveRobot,
+    placement: Mapping[str, str],
+    cpu: Mapping[str, float],  # computer -> what others leave for it [cores]
 ) -> None:
-    """Let components be prepared on computers; return before they are.
-
-    What is prepared elsewhere is dropped there; what is at work stays as it is.
-
-    `cpu`: computer -> the CPU time that others leave for it [cores].
-    """
+    """Let components be prepared unless they are at work; return before they are."""
     new = [
         _prepared(live, name, computer, gently=True)
         for name, computer in placement.items()
@@ -79,9 +72,7 @@ class LaterError(RunError):
 def switch(live: LiveRobot, ends: Collection[str], begins: Mapping[str, str]) -> bool:
     """Let components rest, prepared, and others begin to work.
 
-    Until they rest, what they publish goes out, unless that takes longer than
-    `PATIENCE`.
-
+    Until they rest, what they publish goes out, unless that takes over `PATIENCE`.
     Returns whether all of these were prepared. Raises LaterError when they take long.
     """
     are_ready = _are_ready(live, begins)
@@ -143,10 +134,7 @@ class SlowStarts:
         self._faults_before: Numbers = {}
 
     def note(self, begins: Iterable[str], since: float, delay: float) -> None:
-        """Note what takes long, and since when its actions are due [s, `boot_time`].
-
-        It begins after a delay [s] at the earliest.
-        """
+        """Note what is due since a time [s, `boot_time`], and waits for a delay [s]."""
         self._since = {**dict.fromkeys(begins, since), **self._since}
         self._not_before = boot_time() + delay
         self._faults_before = last_numbers(self._live.agents.statuses())
@@ -174,10 +162,7 @@ class SlowStarts:
         return bool(ahead) and not self._late(ahead)
 
     def ready(self, begins: Mapping[str, str]) -> dict[str, str]:
-        """Return what may begin now, whole architectures.
-
-        Raises RunError when something will not be ready.
-        """
+        """Return what may begin now, whole architectures; RunError: some never will."""
         live, ahead = self._live, self._ahead()
         _raise_on_failed(live, ahead.values())
         live.raise_on_crashes(ahead.values(), self._faults_before)
@@ -236,12 +221,9 @@ def _wait(
     wanted: Collection[Incarnation],
     limit: float,
     *,
-    until_loss: bool = False,
+    until_loss: bool = False,  # LaterError: a lost computer is more urgent
 ) -> None:
-    """Wait until components are at their goals; others' troubles do not count.
-
-    `until_loss`: raises LaterError when a computer is lost, which is more urgent.
-    """
+    """Wait until components are at their goals; others' troubles do not count."""
     away = live.agents.out_of_reach().keys()
 
     def trouble() -> bool:
@@ -255,10 +237,7 @@ def _wait(
 
 
 def _wait_until_configured(live: LiveRobot, new: Collection[Incarnation]) -> None:
-    """Wait until all is configured and joined, and what should rest does.
-
-    Raises LaterError when something is to begin, and that takes long.
-    """
+    """Wait until all is configured, joined or idle; LaterError: that takes long."""
     try:
         _wait(live, new, PATIENCE)
     except NotReady as error:
@@ -333,16 +312,17 @@ class IdleComponents:
         drop(live, failed)
 
     def oldest_first(self, prepared: Iterable[str]) -> list[str]:
-        """Return prepared components: those that only might be needed come first.
-
-        Those that become idle now come last.
-        """
+        """Return prepared components: first what only may be needed, last what ends."""
         live, now = self._live, time.monotonic()
         known = {name: self._since.get(name, 0.0) for name in live.prefetched}
         return sorted(prepared, key=lambda name: known.get(name, now))
 
     def limit(self, architecture: Architecture) -> float:
-        """Return for how long an architecture is idle at most [s]."""
+        """Return for how long an architecture is idle at most [s].
+
+        Until the memory that it holds has cost what its start did: both together cost
+        at most twice what they would if the future were known.
+        """
         if architecture.linger is not None:
             return architecture.linger
         live = self._live

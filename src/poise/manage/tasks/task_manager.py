@@ -1,7 +1,6 @@
 """Carries out the tasks of a running robot: starts what actions need, and stops it.
 
-It is called by the manager's one thread. Decisions and their reasons are in the
-journal; agents keep the state that the next manager needs to go on.
+Agents keep the state that the next manager needs to go on.
 """
 
 from __future__ import annotations
@@ -56,10 +55,7 @@ DueAction = tuple[TaskRecord, Attempt]
 
 
 class TaskManager:
-    """The tasks of a running robot.
-
-    `reports`: how all tasks are; any thread may read it.
-    """
+    """The tasks of a running robot; any thread may read `reports`."""
 
     def __init__(
         self,
@@ -236,10 +232,7 @@ class TaskManager:
         return placed is not None and [*placed.actions][-1:] == [attempt.number]
 
     def _fail_endless(self, began: Iterable[Attempt]) -> bool:
-        """End actions whose end would never be reported; return whether there are any.
-
-        An alternative without the component that ends an action provides its function.
-        """
+        """End actions whose end nothing will report; return whether there are any."""
         endless = False
         for attempt in began:
             if why := self._serving.why_endless(attempt.action.ends):
@@ -249,10 +242,7 @@ class TaskManager:
         return endless
 
     def _with_turns(self) -> Desired:
-        """Return what should run, when components know which actions begin.
-
-        Also those that start again.
-        """
+        """Return what should run, when components know which actions begin."""
         placed = dict(self._live.placed)
         going_on = {
             attempt.number
@@ -339,10 +329,7 @@ class TaskManager:
         return ended
 
     def _note_ended(self, broken: str = "") -> None:
-        """Remember what has ended, with the architectures that served it.
-
-        `broken`: the component whose architecture could not begin.
-        """
+        """Remember what has ended, and what served it, or is `broken` and could not."""
         blamed = self._live.robot.architecture_of(broken) if broken else None
         for ended in self.tasks.pop_ended():
             self._since = boot_time()
@@ -381,10 +368,7 @@ class TaskManager:
         )
 
     def _choose(self, choice: Choice, is_lookahead: bool) -> int:  # noqa: FBT001
-        """Return which step of a choice is done; what is looked ahead is remembered.
-
-        Else each look would read all code and all outcomes.
-        """
+        """Return which step of a choice is done; a look ahead reads no code twice."""
         note, conditions = self._live.journal.note, conditions_of(self._situation())
         known = self._looked_ahead.get((choice, conditions))
         if is_lookahead and known is not None:

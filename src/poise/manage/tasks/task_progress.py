@@ -143,8 +143,8 @@ class Steps:
     def next_actions(self, whole: Progress) -> list[tuple[Attempt, float]]:
         """Return the actions that may come next, with their probabilities.
 
-        What may come next are the first actions behind each one that runs, taken to be
-        done. Which branch of a choice comes is what would be chosen now.
+        These are the first actions behind each one that runs, taken to be done. Which
+        branch of a choice comes is what would be chosen now.
         """
         running = {attempt.name for attempt in self.tries(whole)}
         after = self._after(self._whole, whole)
@@ -190,10 +190,7 @@ class Steps:
     def _walk(
         self, step: Step, progress: Progress, prefix: str = ""
     ) -> list[tuple[Step, Progress, str]]:
-        """Return the steps that go on, and what the names of actions there begin with.
-
-        An action in whose stead something else is done does not go on.
-        """
+        """Return the steps that go on, and what names of actions there begin with."""
         if progress.state != "going":
             return []
         nodes = [(step, progress, prefix)]
