@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from typing import Any
+from collections.abc import Callable
 from unittest.mock import MagicMock
 
 import pytest
@@ -36,11 +36,12 @@ def moves() -> list[tuple[str, str]]:
 def page(monkeypatch: pytest.MonkeyPatch, moves: list[tuple[str, str]]) -> PageActions:
     """Return a page that has moved two components from `left`; `b` stays."""
 
-    async def io_bound(do: Any, *args: str, **_: Any) -> Any:
+    async def io_bound(do: Callable[[], str]) -> str:
         await asyncio.sleep(0)
-        return do(*args)
+        return do()
 
-    def move(component: str, computer: str) -> str:
+    def move(component: str, computer: str, *, force: bool) -> str:
+        assert force
         moves.append((component, computer))
         if component == "b" and len(moves) == 1:
             raise RunError("the move of 'b' was refused")

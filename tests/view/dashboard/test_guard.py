@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from starlette.types import Message, Receive, Scope, Send
 
 from poise.endpoint import is_loopback
-from poise.view.dashboard.dashboard_server import Guard, Message, Receive, Scope, Send
+from poise.view.dashboard.dashboard_server import Guard
 
 TOKEN = "a-token"
 

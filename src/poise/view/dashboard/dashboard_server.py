@@ -6,13 +6,15 @@ import asyncio
 import contextlib
 import secrets
 import time
-from collections.abc import Awaitable, Callable, Mapping, MutableMapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import urlsplit
 
 from nicegui import app, background_tasks, run, ui
 from nicegui.events import GenericEventArguments
+from starlette.requests import HTTPConnection
+from starlette.responses import PlainTextResponse, RedirectResponse
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from poise.clock import wall_time
 from poise.endpoint import is_loopback
@@ -20,12 +22,6 @@ from poise.view.dashboard.dialogs import PageActions
 from poise.view.dashboard.state import Page, PageState, Updates
 from poise.view.robot_view import LiveReader, LiveReading
 from poise.wire.credentials import CERTIFICATE, PRIVATE_KEY, Credentials
-
-Scope = MutableMapping[str, Any]
-Message = MutableMapping[str, Any]
-Receive = Callable[[], Awaitable[Message]]
-Send = Callable[[Message], Awaitable[None]]
-App = Callable[[Scope, Receive, Send], Awaitable[None]]
 
 _MAY_ACT = "poise_may_act"
 """In the scope of a request: whether who made it may act on the robot."""
@@ -41,7 +37,7 @@ class Guard:
     `tokens`: those that open the page -> whether with it one may act.
     """
 
-    def __init__(self, app: App, tokens: Mapping[str, bool] = {}) -> None:
+    def __init__(self, app: ASGIApp, tokens: Mapping[str, bool] = {}) -> None:
         self._app = app
         self._tokens = tokens
 
@@ -50,22 +46,26 @@ class Guard:
         if scope["type"] not in {"http", "websocket"}:
             await self._app(scope, receive, send)
             return
-        headers = {k.decode(): v.decode("latin-1") for k, v in scope["headers"]}
-        refusal = _refusal_of_site(headers, needs_name=not self._tokens)
-        shown = _shown_in_address(scope)
-        name = _cookie(scope)
-        token = self._known(shown) or self._known(_shown_in_cookie(headers, name))
+        asked = HTTPConnection(scope)
+        refusal = _refusal_of_site(asked.headers, needs_name=not self._tokens)
+        _, port = scope.get("server") or ("", "")
+        name = f"poise_token{port}"  # browsers send those of other ports, too
+        is_page = scope["type"] == "http"
+        shown = self._known(asked.query_params.get("token", "")) if is_page else ""
+        token = shown or self._known(asked.cookies.get(name, ""))
         if self._tokens and not token:
             refusal = refusal or _CLOSED
-        if refusal and scope["type"] == "websocket":
+        if refusal and not is_page:
             await send({"type": "websocket.close", "code": 1008})
         elif refusal:
-            await _answer(send, 403, [], refusal)
-        elif token and token == self._known(shown):
-            cookie = f"{name}={token}; HttpOnly; SameSite=Strict; Path=/"
-            cookie += "; Secure" if scope.get("scheme") == "https" else ""
-            there = [(b"location", b"/"), (b"set-cookie", cookie.encode())]
-            await _answer(send, 303, there, "")
+            await PlainTextResponse(refusal, 403)(scope, receive, send)
+        elif shown:
+            page = RedirectResponse("/", 303)
+            is_encrypted = scope.get("scheme") == "https"
+            page.set_cookie(
+                name, token, httponly=True, samesite="strict", secure=is_encrypted
+            )
+            await page(scope, receive, send)
         else:
             scope[_MAY_ACT] = self._tokens.get(token, True)
             await self._app(scope, receive, _unframed(send))
@@ -105,34 +105,6 @@ def _refusal_of_site(headers: Mapping[str, str], *, needs_name: bool) -> str:
     if needs_name and not is_loopback(name or ""):
         return f"{host} is not a name of this computer"
     return ""
-
-
-def _cookie(scope: Scope) -> str:
-    """Return our cookie's name; browsers send those of other ports, too."""
-    _, port = scope.get("server") or ("", "")
-    return f"poise_token{port}"
-
-
-def _shown_in_cookie(headers: Mapping[str, str], ours: str) -> str:
-    cookies = headers.get("cookie", "").split(";")
-    parts = (cookie.strip().partition("=") for cookie in cookies)
-    return next((value for name, _, value in parts if name == ours), "")
-
-
-def _shown_in_address(scope: Scope) -> str:
-    if scope["type"] != "http":
-        return ""
-    query: str = scope["query_string"].decode("latin-1")
-    return parse_qs(query).get("token", [""])[0]
-
-
-async def _answer(
-    send: Send, status: int, headers: list[tuple[bytes, bytes]], text: str
-) -> None:
-    kind = (b"content-type", b"text/plain; charset=utf-8")
-    start = {"type": "http.response.start", "status": status}
-    await send({**start, "headers": [kind, *headers]})
-    await send({"type": "http.response.body", "body": text.encode()})
 
 
 EVERY = 0.2

@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from functools import partial
 from html import escape
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 import yaml
@@ -24,6 +24,7 @@ from poise.session.running_robots.running_component import RunningComponent, val
 from poise.view.dashboard.state import Page, proposal_in, why
 from poise.wire.records.request_records import OutputLine
 
+T = TypeVar("T")
 _LOG_EVERY = 0.5
 _TAKEN_WITHIN = 10.0
 """The next lines are sent when the page has the last ones, or after this time [s]."""
@@ -89,19 +90,13 @@ class PageActions:
     async def _call(self, act: Callable[[], object], dialog: Any = None) -> None:  # noqa: ANN401, NiceGUI's
         if dialog is not None:
             dialog.close()
-        try:
-            self._raise_if_looking()
-            await run.io_bound(act)
-        except PoiseError as error:
-            with self._place:
-                _complain(error)
+        with self._place:
+            await self._done(act)
 
     async def ask(self, component: str, computer: str) -> None:
         """Show what a move would change, and offer it."""
-        try:
-            seen = await run.io_bound(self._running.what_if, component, computer)
-        except PoiseError as error:
-            _complain(error)
+        seen = await _answered(partial(self._running.what_if, component, computer))
+        if seen is None:
             return
         with self._place, _dialog() as dialog:
             ui.html(f"<h2>{escape(f'Move {component} to {computer}?')}</h2>")
@@ -226,23 +221,32 @@ class PageActions:
             self._button.text = f"Undo: {component} back to {source}"
 
     async def _move(self, component: str, computer: str, *, force: bool) -> bool:
-        try:
-            self._raise_if_looking()
-            report = await run.io_bound(
-                self._running.move, component, computer, force=force
-            )
-        except PoiseError as error:
-            _complain(error)
-            return False
-        ui.notify(outcome_sentence(report), color="green-10")
-        return True
+        report = await self._done(
+            partial(self._running.move, component, computer, force=force)
+        )
+        if report is not None:
+            ui.notify(outcome_sentence(report), color="green-10")
+        return report is not None
 
-    def _raise_if_looking(self) -> None:
-        if not self._may_act:
-            raise UsageError(
-                "this page is read-only: `poise dashboard` printed the address of one "
-                "that may act, too"
-            )
+    async def _done(self, act: Callable[[], T]) -> T | None:
+        """Do what changes the robot; None: it was refused, as the page says."""
+        if self._may_act:
+            return await _answered(act)
+        _complain(
+            "this page is read-only: `poise dashboard` printed the address of one "
+            "that may act, too"
+        )
+        return None
+
+
+async def _answered(ask: Callable[[], T]) -> T | None:
+    """Return what the robot answers; None: the page says what went wrong."""
+    try:
+        answer: T | None = await run.io_bound(ask)
+    except PoiseError as error:
+        _complain(error)
+        return None
+    return answer
 
 
 @contextlib.contextmanager
@@ -352,10 +356,8 @@ class ParameterFields:
         if not changes:
             ui.notify("Nothing was changed")
             return
-        try:
-            took = await run.io_bound(self._component.set_parameters, changes)
-        except PoiseError as error:
-            _complain(error)
+        took = await _answered(partial(self._component.set_parameters, changes))
+        if took is None:
             return
         self._known |= took
         for name, value in took.items():
