@@ -61,17 +61,8 @@ class DeploymentLayout:
         self._code: dict[tuple[str, str], str] = {}
         self._weigh = weigh
         self._folder = folder
-        weights = cpu_weights(robot)
-        self._weights = {
-            _container(a, c): weights[a.name]
-            for a in robot.architectures
-            for c in a.components
-        }
-        self._containers = {
-            component.name: _container(architecture, component)
-            for architecture in robot.architectures
-            for component in architecture.components
-        }
+        self._homes = {c.name: a for a in robot.architectures for c in a.components}
+        self._weights = cpu_weights(robot)
         self._components = {c.name: c for c in robot.components()}
         self.computers = {c.name: c for c in robot.computers}
         self.leased = leased_components(robot)
@@ -85,13 +76,15 @@ class DeploymentLayout:
         ]
 
         self._ends = _ends(robot)
-        self._slots = _slots(robot)
+        self._slots = _slots(robot, self._homes)
         self._parts = _chain_parts(robot)
-        self._carries, self._answers = _chains_over(robot, self._slots)
+        self._carries = _chains_over(robot, self._slots)
+        self._answers = _chains_over(robot, self._slots, answers=True)
 
     def container_of(self, incarnation: Incarnation) -> str:
         """Return its container's name; other code has its own: Python imports once."""
-        container = self._containers[incarnation.component]
+        component = self._components[incarnation.component]
+        container = _container(self._homes[component.name], component)
         # no name has a dot in it, so this is no other container's name
         other = f"..{incarnation.code[:_DIGITS]}" if incarnation.code else ""
         return container + other
@@ -123,10 +116,13 @@ class DeploymentLayout:
         containers: dict[str, list[ContainerSpec]] = {
             computer.name: [] for computer in self._robot.computers
         }
-        for at, inside in self._by_container(placed).items():
+        groups: dict[tuple[str, str], list[Incarnation]] = {}
+        for incarnation in placed:
+            groups.setdefault(self._home(incarnation), []).append(incarnation)
+        for at, inside in groups.items():
             computer, container = at
             code = inside[0].code or self._robot.deployed
-            weight = self._weights[self._containers[inside[0].component]]
+            weight = self._weights[self._homes[inside[0].component].name]
             containers[computer].append(
                 ContainerSpec(
                     name=container,
@@ -134,10 +130,7 @@ class DeploymentLayout:
                     weight=weight.weight,
                     nice=weight.nice,
                     preparation_cpu=preparation_cpu.get(computer, 0.0)
-                    if all(
-                        incarnation.unjoined and incarnation.gently
-                        for incarnation in inside
-                    )
+                    if all(each.unjoined and each.gently for each in inside)
                     else 0.0,
                     repository=() if code else self._robot.repository,
                     code=code,
@@ -163,8 +156,7 @@ class DeploymentLayout:
         return [
             connector
             for connector in self._joinable
-            if connector.between[0].component in there
-            and connector.between[1].component in there
+            if all(end.component in there for end in connector.between)
         ]
 
     def connectors_at(
@@ -199,11 +191,13 @@ class DeploymentLayout:
     ) -> ConnectorSpec:
         """Return a connector between two incarnations."""
         kind: ConnectorKind = "direct"
+        address = ""
         if source.computer != target.computer:
             kind = "remote"
         elif self.container_of(source) != self.container_of(target):
             kind = "local"
-        is_direct = kind == "direct"
+        if kind != "direct":
+            address = self.address(target, source.computer, gateways)
         first, second = connector.between
         slot = self.slot_of(connector)
         return ConnectorSpec(
@@ -218,23 +212,13 @@ class DeploymentLayout:
             target_epoch=target.epoch,
             target_port=second.port,
             target_computer=target.computer,
-            address=""
-            if is_direct
-            else self.address(target, source.computer, gateways),
+            address=address,
             limit=connector.limit,
             record=connector.record,
             # what is recorded is replayed without stamps
             carries=() if connector.record else self._carries.get(slot, ()),
             answers=() if connector.record else self._answers.get(slot, ()),
         )
-
-    def _by_container(
-        self, placed: tuple[Incarnation, ...]
-    ) -> dict[tuple[str, str], list[Incarnation]]:
-        groups: dict[tuple[str, str], list[Incarnation]] = {}
-        for incarnation in placed:
-            groups.setdefault(self._home(incarnation), []).append(incarnation)
-        return groups
 
     def _home(self, incarnation: Incarnation) -> tuple[str, str]:
         """Return its computer and its container."""
@@ -261,8 +245,9 @@ class DeploymentLayout:
             parameters=component.parameters,
             changed_parameters=parameters,
             devices={
-                name: self._path(self._robot.device(name).path)
+                name: path and str(PurePath(self._folder) / path)
                 for name in component.devices
+                for path in [self._robot.device(name).path]
             },
             weigh=self._weigh,
             checkpoint=component.checkpoint,
@@ -294,10 +279,6 @@ class DeploymentLayout:
         present = self._present_code(component, implementation)
         return present != self._code_of(component, implementation)
 
-    def _path(self, device: str) -> str:
-        """Return where a device is; it has no path: empty."""
-        return str(PurePath(self._folder) / device) if device else ""
-
     def _connectors(
         self, placed: tuple[Incarnation, ...], gateways: Mapping[str, str]
     ) -> dict[tuple[str, str], list[ConnectorSpec]]:
@@ -327,9 +308,8 @@ def _ends(robot: Robot) -> dict[str, tuple[str, ...]]:
     for task in robot.tasks:
         for _, step in walk(task):
             if isinstance(step, Action) and step.ends is not None:
-                before = ends.get(step.ends.component, ())
-                ports = dict.fromkeys([*before, step.ends.port])
-                ends[step.ends.component] = tuple(ports)
+                name, port = step.ends.component, step.ends.port
+                ends[name] = tuple(dict.fromkeys([*ends.get(name, ()), port]))
     return ends
 
 
@@ -349,29 +329,21 @@ def _chain_parts(robot: Robot) -> dict[str, tuple[ChainPart, ...]]:
 
 
 def _chains_over(
-    robot: Robot, slots: Mapping[str, str]
-) -> tuple[dict[str, tuple[str, ...]], dict[str, tuple[str, ...]]]:
-    """Return the chains over each slot: from source to target, and with answers."""
-    carries: dict[str, dict[str, None]] = {}
-    answers: dict[str, dict[str, None]] = {}
+    robot: Robot, slots: Mapping[str, str], *, answers: bool = False
+) -> dict[str, tuple[str, ...]]:
+    """Return the chains over each slot, from source to target, or with answers."""
+    over: dict[str, dict[str, None]] = {}
     for connector in robot.all_connectors():
         source, target = (end.component for end in connector.between)
-        slot = slots[str(connector)]
+        hop = (target, source) if answers else (source, target)
         for chain in robot.chains:
-            hops = set(pairwise(chain.through))
-            if (source, target) in hops:
-                carries.setdefault(slot, {})[chain.name] = None
-            if (target, source) in hops:
-                answers.setdefault(slot, {})[chain.name] = None
-    return (
-        {slot: tuple(names) for slot, names in carries.items()},
-        {slot: tuple(names) for slot, names in answers.items()},
-    )
+            if hop in pairwise(chain.through):
+                over.setdefault(slots[str(connector)], {})[chain.name] = None
+    return {slot: tuple(names) for slot, names in over.items()}
 
 
-def _slots(robot: Robot) -> dict[str, str]:
+def _slots(robot: Robot, homes: Mapping[str, Architecture]) -> dict[str, str]:
     """Return the slots of all connectors, by name."""
-    homes = {c.name: a for a in robot.architectures for c in a.components}
     counts: Counter[tuple[ConnectorEnd, str]] = Counter()
     first: dict[tuple[ConnectorEnd, str, int], str] = {}
     slots = {}
