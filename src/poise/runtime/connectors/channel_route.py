@@ -247,7 +247,10 @@ class ReceivingEnd(Struct, frozen=True, kw_only=True):
                 latency = received.age + clock.offset
                 counts.add_message(0, received.size, latency, clock.error)
                 issuer.came(received)
-                target.overtaken.check(spec)
+                if target.overtaken.note(connector, spec.source_epoch):
+                    counts.drops += 1
+                    tell(f"one of a later incarnation of '{spec.source}' has come")
+                    return None
                 value = read(received, coders.get(received.tag) or _refuse(port))
                 if received.tag == number_tag:
                     take(heard, connector, value, put)
@@ -260,9 +263,7 @@ class ReceivingEnd(Struct, frozen=True, kw_only=True):
 
         return handle
 
-    def _serving(
-        self, tell: Callable[[WireError], object]
-    ) -> Callable[[Frame], Pieces]:
+    def _serving(self, tell: Callable[[object], object]) -> Callable[[Frame], Pieces]:
         """Return a function that answers calls."""
         port, clock, counts = self.port, self.remote_clock, self.feed.counts
         answers = {

@@ -16,11 +16,10 @@ from poise.runtime.connectors.interface import Proxy, refusing
 from poise.runtime.connectors.latest import Heard, LatestMessage, LatestMessages
 from poise.runtime.connectors.sender import Sender
 from poise.runtime.connectors.tap import ObservedPort
-from poise.runtime.execution.counters import Counts, Overtaken
+from poise.runtime.execution.counters import Counts
 from poise.runtime.execution.data_age import DataAges, SentChains
 from poise.runtime.execution.exclusion import Exclusion
 from poise.runtime.execution.mailbox import Mailbox
-from poise.wire.records.deployment_records import ConnectorSpec
 
 Timing = Callable[[Callable[..., Any], str], Callable[..., Any]]
 """What makes a method that counts its runs, of one that is called over a connector."""
@@ -42,14 +41,6 @@ class OvertakenSources:
         if epoch > latest:
             self._latest[connector] = epoch
         return epoch < latest
-
-    def check(self, spec: ConnectorSpec) -> None:
-        """Note that a message came; Overtaken when a later incarnation has sent."""
-        if self.note(spec.name, spec.source_epoch):
-            raise Overtaken(
-                f"dropped a message of '{spec.source}', incarnation "
-                f"{spec.source_epoch}: one of a later incarnation has come already"
-            )
 
     def forget(self, connector: str, epoch: int) -> None:
         """Hear earlier incarnations again: this one is not joined any more."""

@@ -11,7 +11,7 @@ import fcntl
 import logging
 import os
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from poise.runtime import _calls
@@ -32,22 +32,15 @@ ComponentKey = tuple[str, int]
 """Name and epoch of a component."""
 
 
-class Overtaken(WireError):
-    """A message of an incarnation came after one of a later incarnation."""
-
-
 class Counts(_calls.Counts):
     """What one end of a connector counts, on the threads that use it."""
 
     refused = 0
 
-    def refuse(self, error: WireError) -> None:
+    def refuse(self, _: WireError) -> None:
         """Count something that came and is not taken."""
-        if isinstance(error, Overtaken):
-            self.drops += 1
-        else:
-            self.errors += 1
-            self.refused += 1
+        self.errors += 1
+        self.refused += 1
 
     def status(
         self, name: str, key: str, kind: ConnectorKind, end: Side, *, ready: bool
@@ -111,19 +104,7 @@ class StatsPage:
     ) -> None:
         """Let the agent see the counters of these, and of no others."""
         components = {key: runner.counters for key, runner in running.items()}
-        called = [
-            runner
-            for runner in running.values()
-            if any(port.kind == "provides" for port in runner.ports.values())
-        ]
-        calling = [
-            runner
-            for runner in running.values()
-            if any(port.kind == "requires" for port in runner.ports.values())
-        ]
-        beside: list[tuple[Runner, _calls.Counts, str]]
-        beside = [(r, r.outside_calls, "what calls '{}' from outside") for r in called]
-        beside += [(r, r.started.counts, "what '{}' starts to call") for r in calling]
+        beside = [*_over_no_connector(running.values())]
         wanted: set[ComponentCounters | _calls.Counts] = {*components.values()}
         wanted |= {counts for _, counts, _ in beside}
         wanted |= {connector.counts for connector in connectors}
@@ -160,3 +141,15 @@ class StatsPage:
         if counters not in self._refused:
             self._refused.add(counters)
             log.warning("%s is not counted: all %d records are in use", what, MOST)
+
+
+def _over_no_connector(
+    runners: Iterable[Runner],
+) -> Iterator[tuple[Runner, _calls.Counts, str]]:
+    """Yield whose calls and callers are counted beside connectors, and as what."""
+    for runner in runners:
+        kinds = {port.kind for port in runner.ports.values()}
+        if "provides" in kinds:
+            yield runner, runner.outside_calls, "what calls '{}' from outside"
+        if "requires" in kinds:
+            yield runner, runner.started.counts, "what '{}' starts to call"
