@@ -46,9 +46,9 @@ KEPT = "\n".join(
         (WITNESSED + "\nkeeps: [motor]", "of 3 computers a majority goes on"),
         (
             WITNESSED.replace("[left, right]", "[left, router]"),
-            "no standby can wait on",
+            "'router' is a witness",
         ),
-        (WITNESSED.replace("computer: right", "computer: router"), "device 'lamp'"),
+        (WITNESSED.replace("computer: right", "computer: router"), "a witness"),
         (WITNESSED.replace("cpu: 10%", "only: [router, left], cpu: 10%"), "a witness"),
         (WITNESSED.replace("manager: [left, right]", ""), "no computer may lead"),
         (

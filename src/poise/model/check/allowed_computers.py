@@ -8,7 +8,7 @@ from itertools import combinations
 from typing import NamedTuple
 
 from poise.errors import listed
-from poise.model.check.names import check_components_known, components, each_known
+from poise.model.check.names import components, mentions
 from poise.model.hardware import fits
 from poise.model.robot import LEAST_VOTES, Architecture, ComponentEntry, Computer, Robot
 from poise.model.yaml_tree import Finding, Path
@@ -120,9 +120,6 @@ def _too_large(
 
 def check_together_apart(robot: Robot) -> Iterator[Finding]:
     """Yield what is wrong with the sets of components."""
-    for section in ("together", "apart"):
-        for index, names in enumerate(getattr(robot, section)):
-            yield from check_components_known(robot, (section, index), names)
     allowed = allowed_computers(robot)
     yield from _nowhere_together(robot, allowed)
     yield from _not_apart(robot, allowed)
@@ -227,10 +224,6 @@ _ALONE = "leave `manager` out, or add a computer"
 
 def check_voting(robot: Robot) -> Iterator[Finding]:
     """Yield why no manager could follow, and what is placed on a witness."""
-    computers = [computer.name for computer in robot.computers]
-    yield from each_known(("manager",), "computer", robot.manager or (), computers)
-    devices = [device.name for device in robot.devices]
-    yield from each_known(("keeps",), "device", robot.keeps, devices)
     yield from _witnesses(robot)
     if robot.standbys:
         yield from _majority(robot)
@@ -292,24 +285,7 @@ def _witnesses(robot: Robot) -> Iterator[Finding]:
             )
     if not robot.hosts:
         yield Finding(("computers",), "all computers are witnesses: none runs anything")
-    for path, what, name in _placed(robot):
-        if name in witnesses:
-            yield Finding(
-                path, f"{what} '{name}', a witness: it votes, and runs nothing else"
-            )
-
-
-def _placed(robot: Robot) -> Iterator[tuple[Path, str, str]]:
-    """Yield each place in the file that needs a computer, with its name."""
-    for index, name in enumerate(robot.manager or ()):
-        yield ("manager", index), "no standby can wait on", name
-    for device in robot.devices:
-        path: Path = ("devices", device.name, "computer")
-        yield path, f"no component could use device '{device.name}' on", device.computer
-    for architecture in robot.architectures:
-        if architecture.home is not None:
-            path = ("architectures", architecture.name, "home")
-            yield path, "nothing can be at home on", architecture.home
-    for path, _, component in components(robot):
-        for index, name in enumerate(component.only):
-            yield (*path, "only", index), f"'{component.name}' cannot run on", name
+    for path, kind, name in mentions(robot):
+        if kind == "computer" and name in witnesses and path[0] != "links":
+            text = f"'{name}' is a witness: it votes for the manager, and runs nothing"
+            yield Finding(path, text)

@@ -14,29 +14,29 @@ from itertools import pairwise
 
 from msgspec import Struct
 
-from poise.errors import did_you_mean, unknown
-from poise.model.check.names import (
-    check_components_known,
-    component_names,
-    components,
-    connectors,
-)
+from poise.errors import did_you_mean
+from poise.model.check.names import component_names, components, connectors
 from poise.model.check.ros2_components import bridge_of
-from poise.model.robot import Architecture, Connector, ConnectorEnd, PortKind, Robot
+from poise.model.robot import Connector, ConnectorEnd, PortKind, Robot
 from poise.model.yaml_tree import Finding, Path
 
 
 def check_connectors(robot: Robot) -> Iterator[Finding]:
-    """Yield connectors that are misplaced, duplicate, or join wrong components."""
-    names = component_names(robot)
+    """Yield connectors that are misplaced, duplicate, or join a component to itself."""
+    owners: dict[str, set[str]] = {}
+    for _, owner, component in components(robot):
+        owners.setdefault(component.name, set()).add(owner.name)
     seen: set[str] = set()
     for path, architecture, connector in connectors(robot):
         for index, end in enumerate(connector.between):
-            if end.component not in names:
-                message = unknown("component", end.component, names)
-                yield Finding((*path, "between", index), message)
-        if architecture is not None:
-            yield from _foreign_ends(path, architecture, connector, names)
+            own = owners.get(end.component)  # None: it is unknown
+            if architecture is not None and own and architecture.name not in own:
+                yield Finding(
+                    (*path, "between", index),
+                    f"component '{end.component}' is not in architecture "
+                    f"'{architecture.name}': move this connector to the top-level "
+                    "`connectors`",
+                )
         first, second = connector.between
         if first.component == second.component:
             text = f"the connector {connector} joins a component to itself"
@@ -46,35 +46,20 @@ def check_connectors(robot: Robot) -> Iterator[Finding]:
         seen.add(str(connector))
 
 
-def _foreign_ends(
-    path: Path, architecture: Architecture, connector: Connector, names: tuple[str, ...]
-) -> Iterator[Finding]:
-    own = [component.name for component in architecture.components]
-    for index, end in enumerate(connector.between):
-        if end.component in names and end.component not in own:
-            yield Finding(
-                (*path, "between", index),
-                f"component '{end.component}' is not in architecture "
-                f"'{architecture.name}': move this connector to the top-level "
-                "`connectors`",
-            )
-
-
 def check_chains(robot: Robot) -> Iterator[Finding]:
-    """Yield chains through unknown components, or along missing connectors."""
-    names = frozenset(component_names(robot))
+    """Yield chains along missing connectors."""
+    names = component_names(robot).keys()
     joined = {
         frozenset(end.component for end in connector.between)
         for _, _, connector in connectors(robot)
     }
     # one end is misspelt, which is a problem already: it may be the one that is missed
-    half = {name for pair in joined if not pair.issubset(names) for name in pair}
+    half = {name for pair in joined if not pair <= names for name in pair}
     for chain in robot.chains:
         path: Path = ("chains", chain.name, "through")
-        yield from check_components_known(robot, path, chain.through)
         for index, (one, next_) in enumerate(pairwise(chain.through)):
             pair = frozenset({one, next_})
-            known = pair.issubset(names) and one != next_
+            known = pair <= names and one != next_
             if known and pair not in joined and half.isdisjoint(pair):
                 yield Finding(
                     (*path, index + 1),

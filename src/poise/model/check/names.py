@@ -1,8 +1,8 @@
-"""Names: each used name exists, and no name is defined twice."""
+"""Names: each used name exists, and no name is defined or listed twice."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Iterator
 
 from poise.endpoint import Endpoint
 from poise.errors import listed, unknown
@@ -13,34 +13,29 @@ from poise.model.yaml_tree import Finding, Path
 def check_addresses(robot: Robot) -> Iterator[Finding]:
     """Yield addresses that are malformed, shared or missing."""
     owners: dict[Endpoint, str] = {}
-    for computer in robot.computers:
+    reachable = [c.name for c in robot.computers if c.address is not None]
+    for computer in robot.computers if reachable else ():
+        name = computer.name
         if computer.address is None:
+            yield Finding(
+                ("computers", name),
+                f"computer '{name}' has no address, but others have one "
+                f"({listed(reachable)}); give all computers an address, or none of "
+                "them to emulate all",
+            )
             continue
-        path = ("computers", computer.name, "address")
+        path = ("computers", name, "address")
         try:
             endpoint = Endpoint.parse(computer.address)
         except ValueError as error:
-            yield Finding(path, f"computer '{computer.name}': {error}")
+            yield Finding(path, f"computer '{name}': {error}")
             continue
-        owner = owners.setdefault(endpoint, computer.name)
-        if owner != computer.name:
+        owner = owners.setdefault(endpoint, name)
+        if owner != name:
             yield Finding(
                 path,
-                f"computers '{owner}' and '{computer.name}' have the same address "
+                f"computers '{owner}' and '{name}' have the same address "
                 f"{endpoint}; each agent needs its own host or port",
-            )
-    yield from _missing(robot)
-
-
-def _missing(robot: Robot) -> Iterator[Finding]:
-    reachable = [c.name for c in robot.computers if c.address is not None]
-    for computer in robot.computers if reachable else ():
-        if computer.address is None:
-            yield Finding(
-                ("computers", computer.name),
-                f"computer '{computer.name}' has no address, but others have one "
-                f"({listed(reachable)}); give all computers an address, or none of "
-                "them to emulate all",
             )
 
 
@@ -62,20 +57,86 @@ def connectors(robot: Robot) -> Iterator[tuple[Path, Architecture | None, Connec
         yield ("connectors", index), None, connector
 
 
-def component_names(robot: Robot) -> tuple[str, ...]:
-    """Return the names of all components."""
-    return tuple(component.name for component in robot.components())
+def component_names(robot: Robot) -> dict[str, None]:
+    """Return the names of all components, in order."""
+    return dict.fromkeys(component.name for component in robot.components())
 
 
 def check_names(robot: Robot) -> Iterator[Finding]:
     """Yield the unknown and the duplicate names of a robot."""
+    choices = {
+        "architecture": [architecture.name for architecture in robot.architectures],
+        "component": component_names(robot),
+        "computer": [computer.name for computer in robot.computers],
+        "device": [device.name for device in robot.devices],
+        "resource": dict.fromkeys(r for c in robot.computers for r in c.capacity),
+    }
+    for path, kind, name in mentions(robot):
+        if name not in choices[kind]:
+            yield Finding(path, unknown(kind, name, choices[kind]))
+    for path, kind, names in _sets(robot):
+        for index, name in enumerate(names):
+            if name in names[:index]:
+                yield Finding((*path, index), f"the {kind} '{name}' is listed twice")
     yield from _duplicate_components(robot)
-    yield from _devices(robot)
     yield from _links(robot)
     yield from _architectures(robot)
     yield from _never_chosen(robot)
-    yield from _components(robot)
-    yield from _resources(robot)
+    yield from _one_way_to_run(robot)
+    yield from _reserves(robot)
+
+
+def mentions(robot: Robot) -> Iterator[tuple[Path, str, str]]:
+    """Yield each place in the file that names something: its path, a kind, the name.
+
+    Those in tasks are not among them.
+    """
+    yield from _single_names(robot)
+    for path, kind, names in _sets(robot):
+        for index, name in enumerate(names):
+            yield (*path, index), kind, name
+    for index, link in enumerate(robot.links):
+        for end, computer in enumerate(link.between):
+            yield ("links", index, "between", end), "computer", computer
+    for path, _, connector in connectors(robot):
+        for index, port in enumerate(connector.between):
+            yield (*path, "between", index), "component", port.component
+    for index, bridge in enumerate(robot.ros2.bridges):
+        yield ("ros2", "bridges", index, "port"), "component", bridge.port.component
+    for generated in robot.workload.generate if robot.workload else ():
+        port = generated.port
+        yield ("workload", "generate", str(port)), "component", port.component
+
+
+def _single_names(robot: Robot) -> Iterator[tuple[Path, str, str]]:
+    for device in robot.devices:
+        yield ("devices", device.name, "computer"), "computer", device.computer
+    for architecture in robot.architectures:
+        if architecture.home is not None:
+            path = ("architectures", architecture.name, "home")
+            yield path, "computer", architecture.home
+    for section in ("weights", "sizes"):
+        for resource in getattr(robot.objective, section):
+            yield ("objective", section, resource), "resource", resource
+    for policy in robot.policies:
+        for key, kind in (("to", "computer"), ("by", "architecture")):
+            if (name := getattr(policy, key)) is not None:
+                yield ("policies", policy.name, key), kind, name
+
+
+def _sets(robot: Robot) -> Iterator[tuple[Path, str, tuple[str, ...]]]:
+    """Yield each list of the file in which nothing may be twice."""
+    yield ("manager",), "computer", robot.manager or ()
+    yield ("keeps",), "device", robot.keeps
+    for path, _, component in components(robot):
+        yield (*path, "devices"), "device", component.devices
+        yield (*path, "only"), "computer", component.only
+    for chain in robot.chains:
+        yield ("chains", chain.name, "through"), "component", chain.through
+    for index, names in enumerate(robot.together):
+        yield ("together", index), "component", names
+    for index, names in enumerate(robot.apart):
+        yield ("apart", index), "component", names
 
 
 def _duplicate_components(robot: Robot) -> Iterator[Finding]:
@@ -90,35 +151,24 @@ def _duplicate_components(robot: Robot) -> Iterator[Finding]:
         first.setdefault(component.name, architecture.name)
 
 
-def _devices(robot: Robot) -> Iterator[Finding]:
-    for device in robot.devices:
-        path = ("devices", device.name, "computer")
-        yield from _known(path, "computer", device.computer, _computers(robot))
-
-
 def _links(robot: Robot) -> Iterator[Finding]:
-    first: dict[frozenset[str], int] = {}
+    seen: set[frozenset[str]] = set()
     for index, link in enumerate(robot.links):
         path = ("links", index, "between")
-        yield from each_known(path, "computer", link.between, _computers(robot))
         ends = frozenset(link.between)
         if len(ends) == 1:
             yield Finding(path, f"a link joins '{link.between[0]}' to itself")
-        elif ends in first:
+        elif ends in seen:
             names = " and ".join(f"'{end}'" for end in link.between)
             yield Finding(path, f"there are two links between {names}")
-        first.setdefault(ends, index)
+        seen.add(ends)
 
 
 def _architectures(robot: Robot) -> Iterator[Finding]:
     for architecture in robot.architectures:
-        path: Path = ("architectures", architecture.name)
-        if architecture.home is not None:
-            home = (*path, "home")
-            yield from _known(home, "computer", architecture.home, _computers(robot))
-        elif architecture.layer != "sequencing":
+        if architecture.home is None and architecture.layer != "sequencing":
             yield Finding(
-                path,
+                ("architectures", architecture.name),
                 f"architecture '{architecture.name}' is in the {architecture.layer} "
                 "layer, which does not move: it needs a `home` computer",
             )
@@ -142,70 +192,25 @@ def _never_chosen(robot: Robot) -> Iterator[Finding]:
             )
 
 
-def _components(robot: Robot) -> Iterator[Finding]:
-    devices = [device.name for device in robot.devices]
+def _one_way_to_run(robot: Robot) -> Iterator[Finding]:
     for path, _, component in components(robot):
-        yield from each_known((*path, "devices"), "device", component.devices, devices)
-        yield from each_known(
-            (*path, "only"), "computer", component.only, _computers(robot)
-        )
-        yield from _one_way_to_run(path, component)
+        if component.implementation and component.command:
+            yield Finding(
+                (*path, "command"),
+                f"component '{component.name}' has an implementation and a command; "
+                "remove one of them",
+            )
+        if component.implementation and component.ports:
+            yield Finding(
+                (*path, "ports"),
+                f"component '{component.name}' has an implementation: its class "
+                "declares its ports, so leave `ports` out",
+            )
 
 
-def _one_way_to_run(path: Path, component: ComponentEntry) -> Iterator[Finding]:
-    if component.implementation and component.command:
-        yield Finding(
-            (*path, "command"),
-            f"component '{component.name}' has an implementation and a command; "
-            "remove one of them",
-        )
-    if component.implementation and component.ports:
-        yield Finding(
-            (*path, "ports"),
-            f"component '{component.name}' has an implementation: its class declares "
-            "its ports, so leave `ports` out",
-        )
-
-
-def _resources(robot: Robot) -> Iterator[Finding]:
-    known = dict.fromkeys(r for c in robot.computers for r in c.capacity)
-    path: Path
-    for section in ("weights", "sizes"):
-        for resource in getattr(robot.objective, section):
-            path = ("objective", section, resource)
-            yield from _known(path, "resource", resource, known)
+def _reserves(robot: Robot) -> Iterator[Finding]:
     for computer in robot.computers:
         for resource in computer.reserve:
-            path = ("computers", computer.name, "reserve", resource)
-            yield from _known(path, "resource", resource, computer.capacity)
-
-
-def _computers(robot: Robot) -> list[str]:
-    return [computer.name for computer in robot.computers]
-
-
-def each_known(
-    path: Path, kind: str, names: Iterable[str], choices: Iterable[str]
-) -> Iterator[Finding]:
-    """Yield a finding at its own index for every unknown or duplicate name."""
-    choices, seen = tuple(choices), set()
-    for index, name in enumerate(names):
-        yield from _known((*path, index), kind, name, choices)
-        # A link from a computer to itself has a message of its own.
-        if name in seen and path[0] != "links":
-            yield Finding((*path, index), f"the {kind} '{name}' is listed twice")
-        seen.add(name)
-
-
-def _known(
-    path: Path, kind: str, name: str, choices: Collection[str]
-) -> Iterator[Finding]:
-    if name not in choices:
-        yield Finding(path, unknown(kind, name, choices))
-
-
-def check_components_known(
-    robot: Robot, path: Path, names: Iterable[str]
-) -> Iterator[Finding]:
-    """Yield a finding for every name that is no component, or is listed twice."""
-    yield from each_known(path, "component", names, component_names(robot))
+            if resource not in computer.capacity:
+                path = ("computers", computer.name, "reserve", resource)
+                yield Finding(path, unknown("resource", resource, computer.capacity))

@@ -13,7 +13,6 @@ from msgspec import to_builtins
 from msgspec.structs import replace
 
 from poise.endpoint import Endpoint
-from poise.errors import unknown
 from poise.model.check.names import component_names, components, connectors
 from poise.model.robot import ComponentEntry, Connector, ConnectorEnd, Robot
 from poise.model.ros2_node import START, wrong_parameters
@@ -88,8 +87,7 @@ def _wrong_topic(
 def _wrong_bridge(robot: Robot, bridge: Ros2Bridge) -> Iterator[str]:
     end, names = bridge.port, component_names(robot)
     name = bridge_of(end)
-    if end.component not in names:
-        yield unknown("component", end.component, names)
+    if end.component not in names:  # `check_names` says so
         return
     if not robot.component(end.component).implementation:
         yield f"component '{end.component}' has no Python class, so no port to bridge"

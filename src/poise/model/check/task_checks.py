@@ -80,16 +80,10 @@ def _own_function(policy: Policy) -> Iterator[Finding]:
 
 
 def _targets(robot: Robot, policy: Policy) -> Iterator[Finding]:
-    computers = [computer.name for computer in robot.computers]
-    names = [architecture.name for architecture in robot.architectures]
-    if policy.to is not None and policy.to not in computers:
-        yield _finding(policy, "to", unknown("computer", policy.to, computers))
     for key, do in (("to", "move"), ("by", "replace")):
         if getattr(policy, key) is not None and policy.do not in (do, None):
             yield _finding(policy, key, f"'{key}' is for '{do}', not '{policy.do}'")
-    if policy.by is not None and policy.by not in names:
-        yield _finding(policy, "by", unknown("architecture", policy.by, names))
-    elif policy.do == "replace":
+    if policy.do == "replace":
         yield from _alternatives(robot, policy)
 
 
@@ -101,10 +95,14 @@ def _alternatives(robot: Robot, policy: Policy) -> Iterator[Finding]:
             text = "no function has two architectures, so nothing can be replaced"
             yield _finding(policy, "do", text)
         return
-    function = next(a.function for a in robot.architectures if a.name == policy.by)
-    if of[function] == 1:
-        text = f"'{policy.by}' alone provides '{function}', so it can replace none"
-        yield _finding(policy, "by", text)
+    for architecture in robot.architectures:
+        if architecture.name == policy.by and of[architecture.function] == 1:
+            yield _finding(
+                policy,
+                "by",
+                f"'{policy.by}' alone provides '{architecture.function}', so it can "
+                "replace none",
+            )
 
 
 def choices_of(robot: Robot, subject: Subject) -> Mapping[str, tuple[str, ...]]:
@@ -112,7 +110,7 @@ def choices_of(robot: Robot, subject: Subject) -> Mapping[str, tuple[str, ...]]:
     computers = tuple(computer.name for computer in robot.computers)
     names = {
         "computer": computers,
-        "component": component_names(robot),
+        "component": tuple(component_names(robot)),
         "link": tuple("-".join(link.between) for link in robot.links),
         "chain": tuple(chain.name for chain in robot.chains),
     }
@@ -232,9 +230,9 @@ def _end(
     robot: Robot, path: Path, action: Action, end: ConnectorEnd
 ) -> Iterator[Finding]:
     """Yield an end that is no port of a component that runs for the action."""
-    if end.component not in component_names(robot):
-        text = unknown("component", end.component, component_names(robot))
-        yield Finding(path, text)
+    names = component_names(robot)
+    if end.component not in names:
+        yield Finding(path, unknown("component", end.component, names))
         return
     if not end.port:
         text = f"name the port of '{end.component}' too, as in {end.component}.done"
@@ -326,7 +324,7 @@ def _of(task: Task, actions: tuple[Action, ...]) -> Path:
 
 
 def check_workload(robot: Robot) -> Iterator[Finding]:
-    """Yield ports of unknown components, and an empty workload."""
+    """Yield an empty workload, and what is generated for no port."""
     workload = robot.workload
     if workload is None:
         return
@@ -334,12 +332,9 @@ def check_workload(robot: Robot) -> Iterator[Finding]:
         yield Finding(
             ("workload",), "the workload is empty: give command, recording or generate"
         )
-    names = component_names(robot)
     for generated in workload.generate:
-        path = ("workload", "generate", str(generated.port))
-        if generated.port.component not in names:
-            yield Finding(path, unknown("component", generated.port.component, names))
-        elif not generated.port.port:
+        if not generated.port.port:
+            path = ("workload", "generate", str(generated.port))
             yield Finding(path, f"give the port, as in {generated.port.component}.scan")
 
 
