@@ -52,7 +52,7 @@ class Joined:
         mailbox = Mailbox({"notes": Queue(policy, size)}, ComponentCounters())
         self.feed = mailbox.feed("notes", self.counts)
         self.mailbox = mailbox
-        self.issuer = CreditIssuer("a.b", self.feed, self.counts, {})
+        self.issuer = CreditIssuer("a.b", self.feed, {})
 
     def ask(self) -> None:
         request = frame.parse(b"".join(self.credit.request()))

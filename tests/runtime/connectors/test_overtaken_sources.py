@@ -28,6 +28,18 @@ class Arm(Component):
         pass
 
 
+def connector(source_epoch: int) -> ConnectorSpec:
+    return ConnectorSpec(
+        name="mind.out-arm.to",
+        kind="remote",
+        source="mind",
+        source_epoch=source_epoch,
+        source_port="out",
+        target="arm",
+        target_port="to",
+    )
+
+
 class Receiver:
     """A component that hears one source, of which two incarnations are joined."""
 
@@ -38,15 +50,7 @@ class Receiver:
         self.heard = {"to": dict[str, Any]()}
 
     def hear(self, epoch: int, text: str) -> None:
-        spec = ConnectorSpec(
-            name="mind.out-arm.to",
-            kind="remote",
-            source="mind",
-            source_epoch=epoch,
-            source_port="out",
-            target="arm",
-            target_port="to",
-        )
+        spec = connector(epoch)
         feed: Any = SimpleNamespace(
             counts=self.counts, put=lambda entry: self.came.append(entry[1])
         )
@@ -88,7 +92,7 @@ def test_a_message_from_where_its_component_moved_away_is_dropped(
         mailbox=mailbox, overtaken=arm.overtaken, heard=arm.heard
     )
     sender: Any = SimpleNamespace(counts=arm.counts, note_room=None)
-    here = route("mind.out-arm.to", target, ports_of(Arm)["to"], 1.0, sender, 0)
+    here = route(connector(0), target, ports_of(Arm)["to"], sender)
     here.push(None, Numbered((0, 1), False, "first"))
     arm.hear(1, "second")
     here.push(None, Numbered((0, 2), False, "late"))

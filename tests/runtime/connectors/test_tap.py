@@ -32,6 +32,11 @@ NOTES = Port("notes", "publishes", Note)
 SUMS = Port("sums", "requires", Sums)
 
 
+def observer_of(type_: type, rate: float) -> Observer:
+    tap = Tap(number=0, container="", connector="a-b", viewer="", rate=rate)
+    return Observer(tap, type_)
+
+
 def publisher() -> tuple[Sender, FakeRoute]:
     sender, route = Sender("a-b", NOTES, None, 1.0), FakeRoute()
     sender.add("here", route)
@@ -40,7 +45,7 @@ def publisher() -> tuple[Sender, FakeRoute]:
 
 def test_a_message_is_noted_and_goes_out_as_ever() -> None:
     sender, route = publisher()
-    observer = Observer("a-b", Note, rate=1e6)
+    observer = observer_of(Note, 1e6)
     sender.observe((observer,))
     note = Note(7)
     sender.sending()(note)
@@ -55,7 +60,7 @@ def test_a_message_is_noted_and_goes_out_as_ever() -> None:
 def test_messages_are_shown_at_their_rate_though_the_time_of_day_steps_back(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    observer = Observer("a-b", Note, rate=1e9)
+    observer = observer_of(Note, 1e9)
     observer.note(lambda: Note(1))
     monkeypatch.setattr("time.time", lambda: 1e9)  # in 2001
     observer.note(lambda: Note(2))
@@ -66,7 +71,7 @@ def test_messages_are_shown_at_their_rate_though_the_time_of_day_steps_back(
 
 
 def test_a_burst_below_the_rate_is_shown_whole() -> None:
-    observer = Observer("a-b", Note, rate=400)
+    observer = observer_of(Note, 400)
     for number in range(4):  # at once, as the calls of one timer
         observer.note(lambda number=number: Note(number))  # type: ignore[misc]
     assert len(observer.read(1).passed) == 4
@@ -75,7 +80,7 @@ def test_a_burst_below_the_rate_is_shown_whole() -> None:
 def test_without_viewers_messages_take_the_way_that_they_always_took() -> None:
     sender, _ = publisher()
     assert sender.sending() == sender.send
-    sender.observe((Observer("a-b", Note, 1.0),))
+    sender.observe((observer_of(Note, 1.0),))
     assert sender.sending() != sender.send
     sender.observe(())
     assert sender.sending() == sender.send
@@ -86,7 +91,7 @@ def test_calls_are_noted_with_their_results_and_errors() -> None:
     sender, route = Sender("a-b", SUMS, proxy, 1.0), FakeRoute()
     sender.add("here", route)
     before = proxy.add
-    observer = Observer("a-b", Sums, rate=1e6)
+    observer = observer_of(Sums, 1e6)
     sender.observe((observer,))
     assert proxy.add(4) == (route, 4)
     sender.remove("here")
@@ -109,7 +114,7 @@ def test_a_call_that_raises_is_noted_and_raises() -> None:
             return call
 
     sender.add("here", Raises())
-    observer = Observer("a-b", Sums, rate=1e6)
+    observer = observer_of(Sums, 1e6)
     sender.observe((observer,))
     with pytest.raises(ValueError, match="no"):
         proxy.add(4)
@@ -125,7 +130,7 @@ class Unsaid(Exception):
 
 def test_what_cannot_be_shown_goes_out_as_ever() -> None:
     sender, route = publisher()
-    observer = Observer("a-b", Note, rate=1e6)
+    observer = observer_of(Note, 1e6)
     sender.observe((observer,))
     sender.sending()(Unsaid())
     assert len(route.went) == 1
@@ -145,7 +150,7 @@ def test_a_caller_gets_an_error_that_cannot_be_shown() -> None:
             return call
 
     sender.add("here", Raises())
-    observer = Observer("a-b", Sums, rate=1e6)
+    observer = observer_of(Sums, 1e6)
     sender.observe((observer,))
     with pytest.raises(Unsaid):
         proxy.add(4)
@@ -153,7 +158,7 @@ def test_a_caller_gets_an_error_that_cannot_be_shown() -> None:
 
 
 def test_a_text_that_cannot_be_sent_is_shown_escaped() -> None:
-    observer = Observer("a-b", Note, rate=1e6)
+    observer = observer_of(Note, 1e6)
     name = os.fsdecode(b"map-\xff.png")
     observer.note(lambda: {name: [name, 100 * name]})
     reading = frame.unpack_record(frame.pack_record(observer.read(1)), TapReading)
@@ -163,7 +168,7 @@ def test_a_text_that_cannot_be_sent_is_shown_escaped() -> None:
 
 
 def test_what_finds_no_room_is_counted() -> None:
-    observer = Observer("a-b", Note, rate=1e9)
+    observer = observer_of(Note, 1e9)
     for number in range(MOST_TIMES + 3):
         observer.note(lambda number=number: number)  # type: ignore[misc]
     reading = observer.read(1)
@@ -176,10 +181,10 @@ def test_no_content_is_looked_at_more_often_than_asked() -> None:
     def content() -> object:
         raise AssertionError("nobody asked for it")
 
-    observer = Observer("a-b", Note, rate=0.0)
+    observer = observer_of(Note, 0.0)
     observer.note(content)
     assert len(observer.read(1).times) == 1
-    slow = Observer("a-b", Note, rate=0.001)
+    slow = observer_of(Note, 0.001)
     slow.note(lambda: 1)
     slow.note(content)
     reading = slow.read(1)
@@ -281,7 +286,7 @@ def test_a_viewer_may_watch_more_connectors_than_there_may_be_viewers() -> None:
 
 
 def test_a_reading_amid_a_message_has_its_time_and_its_content_or_neither() -> None:
-    observer = Observer("a-b", Note, rate=1e9)
+    observer = observer_of(Note, 1e9)
     amid = []
 
     def value() -> Note:

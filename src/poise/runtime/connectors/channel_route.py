@@ -65,19 +65,18 @@ class ChannelRoute:
 
     def __init__(
         self,
-        channel: Channel,
+        spec: ConnectorSpec,
         port: Port,
-        limit: float,
+        channel: Channel,
         credit: Credit,
         remote_clock: RemoteClock,
-        source: str = "",
-        lease: LeaseEnd | None = None,
+        lease: LeaseEnd | None,
     ) -> None:
         self._channel = channel
-        self._source = source
+        self._source = spec.source
         self._lease = lease
         self._remote_clock = remote_clock
-        self._limit = limit
+        self._limit = spec.limit
         self._credit = credit
         self._is_topic = port.kind == "publishes"
         self._tag = message_tag(port.type)

@@ -20,7 +20,6 @@ from collections.abc import Callable, Mapping
 from typing import Protocol
 
 from poise.runtime.connectors.latest import HEARD, NONE, Number
-from poise.runtime.execution.counters import Counts
 from poise.runtime.execution.mailbox import Feed
 from poise.wire import frame
 from poise.wire.codec import Codec, WireError
@@ -94,13 +93,10 @@ class Back(Protocol):
 class CreditIssuer:
     """The target's side of one connector: counts what came, and gives credit."""
 
-    def __init__(
-        self, connector: str, feed: Feed, counts: Counts, heard: Mapping[str, Number]
-    ) -> None:
+    def __init__(self, connector: str, feed: Feed, heard: Mapping[str, Number]) -> None:
         self._connector = connector
         self._heard = heard
         self._feed = feed
-        self._counts = counts
         self._lock = threading.Lock()
         self._route = 0
         self._before = 0
@@ -149,7 +145,7 @@ class CreditIssuer:
 
     def _count_lost(self, lost: int) -> None:
         if lost > 0:
-            self._counts.drops += lost
+            self._feed.counts.drops += lost
             text = "connector %s: %d messages were lost on their way"
             log.warning(text, self._connector, lost)
 

@@ -14,6 +14,7 @@ from poise.runtime.connectors.interface import Method, as_declared, message_tag
 from poise.runtime.connectors.latest import NONE, Heard, Number, take
 from poise.runtime.execution.counters import Counts
 from poise.runtime.execution.exclusion import Exclusion
+from poise.wire.records.deployment_records import ConnectorSpec
 
 if TYPE_CHECKING:
     from poise.runtime.connectors.endpoints import ComponentEndpoints
@@ -73,16 +74,14 @@ class DirectRoute(Route):
 
     def __init__(
         self,
-        connector: str,
+        spec: ConnectorSpec,
         target: ComponentEndpoints,
         port: Port,
-        limit: float,
         sender: Sender,
-        epoch: int = 0,
     ) -> None:
-        self._connector, self._epoch = connector, epoch
+        self._connector, self._epoch = spec.name, spec.source_epoch
         self._target = target
-        self._limit = limit
+        self._limit = spec.limit
         self._port = port.name
         self._feed = target.mailbox.feed(port.name, sender.counts)
         self._feed.on_room = sender.note_room

@@ -68,28 +68,17 @@ _RESULT_BODY = 1
 class Observer:
     """What one viewer gets of a connector. Any thread may use it."""
 
-    def __init__(
-        self,
-        connector: str,
-        type_: object,
-        rate: float,
-        items: int = SHOWN_ITEMS,
-        *,
-        is_whole: bool = False,
-        latest: Number = NONE,
-    ) -> None:
-        self.connector = connector
-        self.carries = getattr(type_, "__qualname__", str(type_))
+    def __init__(self, tap: Tap, type_: object) -> None:
+        self._tap = tap
+        self._carries = getattr(type_, "__qualname__", str(type_))
         self.read_at = time.monotonic()
-        self._items = items
-        self._is_whole = is_whole
         self._size = 0
-        self._every = 1 / rate if rate > 0 else inf
-        self._due = 0.0 if rate > 0 else inf
+        self._every = 1 / tap.rate if tap.rate > 0 else inf
+        self._due = 0.0 if tap.rate > 0 else inf
         self._times: list[float] = []
         self._passed: list[Passed] = []
         self._missing = 0
-        self._latest = latest
+        self._latest = tap.latest or NONE
         self._lock = threading.Lock()
         self._time = steady_wall_time()
 
@@ -121,9 +110,9 @@ class Observer:
     def _shown(self, at: float, value: Callable[[], object]) -> Passed:
         """Return a value as the viewer gets it, or why it gets none."""
         try:
-            if self._is_whole:
+            if self._tap.is_whole:
                 return Passed(at, pack(value()))
-            plain = Plain(self._items)
+            plain = Plain(self._tap.items)
             return Passed(at, plain.of(value()), plain.is_whole)
         # a user's class may raise anything when its texts and parts are asked for
         except Exception as error:  # noqa: BLE001
@@ -144,8 +133,8 @@ class Observer:
             latest, at = self._latest, self._time()
         return TapReading(
             number=number,
-            connector=self.connector,
-            carries=self.carries,
+            connector=self._tap.connector,
+            carries=self._carries,
             times=tuple(times),
             passed=tuple(passed),
             missing=missing,
@@ -327,14 +316,7 @@ class Taps:
             if len(viewers | {tap.viewer}) > MOST_VIEWERS:
                 text = f"{MOST_VIEWERS} viewers watch this container already"
                 return StepsFailed(tap.number, text)
-            self._observed[key] = Observer(
-                tap.connector,
-                sender.port.type,
-                tap.rate,
-                tap.items,
-                is_whole=tap.is_whole,
-                latest=tap.latest or NONE,
-            )
+            self._observed[key] = Observer(tap, sender.port.type)
             self._show(sender)
             if sender.last and tap.latest is not None:
                 self._observed[key].note_last(sender.last)

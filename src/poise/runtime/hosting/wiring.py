@@ -244,9 +244,7 @@ class Wiring:
         if target is not None:
             far = _port(target, spec.target_port, TAKING)
             route = NumberedRoute if port.latest else DirectRoute
-            opened.route = route(
-                spec.name, target.endpoints, far, spec.limit, sender, spec.source_epoch
-            )
+            opened.route = route(spec, target.endpoints, far, sender)
             opened.closing.callback(_forget, spec, target)
         else:
             credit = Credit()
@@ -263,13 +261,7 @@ class Wiring:
                 credit.request,
             )
             opened.route = ChannelRoute(
-                channel,
-                port,
-                spec.limit,
-                credit,
-                opened.remote_clock,
-                spec.source,
-                source.lease,
+                spec, port, channel, credit, opened.remote_clock, source.lease
             )
         opened.sender = sender
         opened.counts = sender.counts
@@ -285,7 +277,7 @@ class Wiring:
                 opened.counts = other.counts
         feed = target.endpoints.mailbox.feed(port.name, opened.counts)
         heard = target.endpoints.heard[port.name]
-        issuer = CreditIssuer(spec.name, feed, opened.counts, heard)
+        issuer = CreditIssuer(spec.name, feed, heard)
         opened.closing.callback(issuer.close)
         opened.closing.callback(_forget, spec, target)
         handler = ReceivingEnd(
