@@ -1,7 +1,6 @@
 """Robots that go on without a manager: found where it noted their agents.
 
-Agents are only listened to. A robot is there if one of them says that it runs
-something.
+Agents are only listened to: a robot is there if one says that it runs something.
 """
 
 from __future__ import annotations
@@ -37,11 +36,7 @@ _TELLS_NOTHING = (socket.EAI_AGAIN, errno.ENETUNREACH)
 
 
 class NoManager(RunError):
-    """A robot is there, but no manager of it answers on this computer.
-
-    `left`: where they are, if they know that the manager is gone; None: it is only
-    silent, or elsewhere.
-    """
+    """A robot is there, but no manager of it answers on this computer."""
 
     exit_code = 4
 
@@ -49,7 +44,7 @@ class NoManager(RunError):
         self,
         message: str,
         status: RobotStatus | None,  # what its agents say; None: they are not known
-        left: AgentAddresses | None = None,
+        left: AgentAddresses | None = None,  # where they are, if its manager is gone
     ) -> None:
         super().__init__(message)
         self.status = status
@@ -65,7 +60,6 @@ def robots_without_manager(but: Collection[str] = ()) -> dict[str, RobotStatus]:
 
 
 def _answer(addresses: AgentAddresses) -> RobotStatus | None:
-    """Return what the agents of a robot say; None: nothing."""
     try:
         return ask_agents(addresses)
     except NoManager:
@@ -104,18 +98,19 @@ def ask_agents(
         _raise_if_refused(addresses, keys)
     found = status_by_agents(addresses, reports.statuses(), wall_time(), why)
     if found is None and wants_all and reached and reached != endpoints.keys():
-        raise NoManager(_why_not_known(addresses, reached), status=None)
+        silent = sorted(endpoints.keys() - reached)
+        where = [f"'{name}' ({endpoint_of(endpoints[name])})" for name in silent]
+        raise _not_known(
+            addresses,
+            f"{', '.join(where)} gave no answer within {AGENT_LIMIT:g} s; nothing runs "
+            f"on {', '.join(sorted(reached))}",
+        )
     return found and replace(found, ages=reports.ages())
 
 
-def _why_not_known(addresses: AgentAddresses, reached: Collection[str]) -> str:
-    silent = sorted(addresses.endpoints.keys() - set(reached))
-    where = [f"'{name}' ({endpoint_of(addresses.endpoints[name])})" for name in silent]
-    return (
-        f"whether robot '{addresses.robot}' runs is not known: {', '.join(where)} gave "
-        f"no answer within {AGENT_LIMIT:g} s; nothing runs on "
-        f"{', '.join(sorted(reached))}"
-    )
+def _not_known(addresses: AgentAddresses, why: str) -> NoManager:
+    text = f"whether robot '{addresses.robot}' runs is not known: {why}"
+    return NoManager(text, status=None)
 
 
 def _raise_if_nothing_told(
@@ -128,11 +123,8 @@ def _raise_if_nothing_told(
         if error is not None and error.errno in _TELLS_NOTHING
     )
     if each:
-        raise NoManager(
-            f"whether robot '{addresses.robot}' runs is not known: this computer does "
-            f"not reach its agents{each}",
-            status=None,
-        )
+        why = f"this computer does not reach its agents{each}"
+        raise _not_known(addresses, why)
 
 
 def _raise_if_refused(addresses: AgentAddresses, keys: Credentials | None) -> None:
@@ -144,11 +136,7 @@ def _raise_if_refused(addresses: AgentAddresses, keys: Credentials | None) -> No
             f"\n{name}: {why or 'its agent gives no answer'}"
             for name, why in sorted(reasons.items())
         )
-        raise NoManager(
-            f"whether robot '{addresses.robot}' runs is not known: none of its agents "
-            f"answers{each}",
-            status=None,
-        )
+        raise _not_known(addresses, f"none of its agents answers{each}")
 
 
 def status_by_agents(
@@ -204,7 +192,7 @@ def _deviations(
     statuses: Statuses,
     now: float,
 ) -> Iterator[Deviation]:
-    """Yield what is wrong beside the manager, for all that agents can say."""
+    """Yield what is wrong beside the manager, as far as agents know."""
     for name in silent:
         what = (
             f"the agent of '{name}' ({endpoint_of(endpoints[name])}) gave no answer "

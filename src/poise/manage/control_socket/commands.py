@@ -49,10 +49,7 @@ class MoveCommand(Struct, frozen=True, tag=True):
 
 
 class JournalCommand(Struct, frozen=True, tag=True):
-    """Return the journal's entries with numbers above `after`: the last `most` of them.
-
-    Answered at once, even during a move.
-    """
+    """Return the last `most` entries of the journal that have numbers above `after`."""
 
     after: int = 0
     most: int = 500
@@ -74,22 +71,16 @@ class ReplaceCommand(Struct, frozen=True, tag=True):
 
 
 class RebalanceCommand(Struct, frozen=True, tag=True):
-    """Find a better placement, and go there unless `dry`.
+    """Find a better placement, and go there unless `dry`."""
 
-    `move` is what F grows by for each component that moves.
-    """
-
-    move: float
+    move: float  # what F grows by for each component that moves
     dry: bool = False
 
 
 class TapCommand(Struct, frozen=True, tag=True):
-    """Tell what has gone out over a connector since `viewer` asked last.
+    """Tell what has gone out over a connector since `viewer` asked last; see `Tap`."""
 
-    `connector` is its name, or ``component.port`` of an end. See `Tap` for the others.
-    """
-
-    connector: str
+    connector: str  # its name, or ``component.port`` of an end
     viewer: str
     rate: float = 0.0
     items: int = SHOWN_ITEMS
@@ -98,16 +89,13 @@ class TapCommand(Struct, frozen=True, tag=True):
 
 
 class PortCommand(Struct, frozen=True, tag=True, kw_only=True):
-    """Give a port a message, publish one there, or call it; see `PortRequest`.
-
-    `limit`: it is done within this time, wherever the component is meanwhile [s].
-    """
+    """Give a port a message, publish one there, or call it; see `PortRequest`."""
 
     component: str
     port: str
     method: str = ""
     value: Packed
-    limit: float = 1.0
+    limit: float = 1.0  # done within this time, wherever the component is [s]
 
 
 class ParametersCommand(Struct, frozen=True, tag=True, kw_only=True):
@@ -154,8 +142,7 @@ LookCommand = RecordCommand | TapCommand | LogCommand
 
 
 STALE = 5.0
-"""What an agent reported longer ago [s] says nothing about now: it does so twice a
-second."""
+"""What an agent reported longer ago [s] says nothing about now."""
 
 
 class RobotStatus(Struct, frozen=True, tag=True, kw_only=True):
@@ -206,10 +193,7 @@ class RobotStatus(Struct, frozen=True, tag=True, kw_only=True):
         return (named | self.out_of_reach.keys()) - known
 
     def background(self, computer: str) -> float | None:
-        """Return what other programs use of a computer [its cores], where it is known.
-
-        It is not in a robot's first second, and without a manager.
-        """
+        """Return what other programs use of a computer [its cores]; None: not known."""
         load = self.loads.get(computer)
         if load is None or not load.capacity:
             return None

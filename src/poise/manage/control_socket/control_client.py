@@ -56,9 +56,8 @@ _ASK_EVERY = 0.1
 def send_command(robot: str | AgentAddresses | None, command: Command) -> Result:
     """Send a command to the manager of a running robot, and return its result.
 
-    `robot`: its name, or its agents; None when only one runs. When its manager is on
-    another computer, an agent passes the command on, as soon as a standby leads if the
-    manager is gone.
+    `robot`: its name, or its agents; None when only one runs. An agent passes the
+    command on to a manager elsewhere, or to the standby that leads once that is gone.
     """
     try:
         where = _find(robot)
@@ -96,10 +95,7 @@ def ask(robot: str | AgentAddresses | None, command: Command, type_: type[R]) ->
 
 
 def _find(robot: str | AgentAddresses | None) -> Path | AgentAddresses:
-    """Return the control socket of a running robot; None: of the only one.
-
-    Where its manager is not here, return its agents.
-    """
+    """Return a running robot's control socket, or its agents where that is not here."""
     managed = running_here()
     if isinstance(robot, AgentAddresses):
         here = noted_of(robot.robot) if robot.robot in managed else None
@@ -200,10 +196,9 @@ def _answers(
 def _no_manager(
     addresses: AgentAddresses, denied: str = "", *, waited: bool = False
 ) -> NoManager:
-    """Return what agents say; `left`: that their manager is gone, and none will follow.
+    """Return what agents say; UsageError: none says that something runs.
 
-    `denied`: why they take no command; `waited`: no standby has followed in time;
-    UsageError when none says that something runs.
+    `denied`: why they take no command; `waited`: no standby has followed in time.
     """
     status = ask_agents(addresses)
     if status is None:
@@ -249,15 +244,14 @@ def _gives_status(path: Path) -> bool:
 
 
 def _no_answer(robot: str, manager: int | None = None, waited: float = 0) -> NoManager:
-    """Return what is known of a manager that is there, and silent.
+    """Return what is known of a manager that has been silent for some time [s].
 
-    `manager`: its process; None: it takes no more connections; `waited`: for how long
-    [s].
+    `manager`: its process; None: it takes no more connections.
     """
     why = f"the manager of robot '{robot}' takes no more connections"
     if manager is not None:
-        why = f"the manager of robot '{robot}' (process {manager}) has not answered "
-        why += f"for {waited:.0f} s"
+        process = f"the manager of robot '{robot}' (process {manager})"
+        why = f"{process} has not answered for {waited:.0f} s"
         if _is_stopped(manager):
             why += f": it is stopped, and `kill -CONT {manager}` lets it go on"
     why += "; `poise up --take-over FILE` replaces it"

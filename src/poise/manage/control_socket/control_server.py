@@ -1,8 +1,7 @@
 """The manager's control socket: accepts commands on threads of its own.
 
-A record comes in on each connection, and one goes back. A connection waits on its own
-thread for the result, so no client holds up another. A client that disconnects cancels
-its command, unless that has begun.
+A record comes in on each connection, which waits on its own thread for the result. A
+client that disconnects cancels its command, unless that has begun.
 """
 
 from __future__ import annotations
@@ -95,7 +94,9 @@ class ControlServer:
         """Serve no more clients, and let those that have their result take it."""
         try:
             if self._path.stat().st_ino == self._inode:  # else it is a successor's
-                self._give_back()
+                self._path.unlink()
+                if not is_alive(self._path):
+                    self._former.unlink(missing_ok=True)
         except FileNotFoundError:
             pass
         except OSError as error:  # the next manager replaces it
@@ -122,12 +123,6 @@ class ControlServer:
         self._former.unlink(missing_ok=True)
         with contextlib.suppress(FileNotFoundError):
             self._former.hardlink_to(self._path)
-
-    def _give_back(self) -> None:
-        """Remove the socket; that of a manager which was not replaced comes back."""
-        self._path.unlink()
-        if not is_alive(self._path):
-            self._former.unlink(missing_ok=True)
 
     def _accept(self) -> None:
         while not self._is_closed.is_set():

@@ -33,7 +33,6 @@ from poise.manage.observe.chains import chain_reports
 from poise.manage.observe.deviations import Deviation
 from poise.manage.observe.estimates import Estimates
 from poise.manage.tasks.task_reports import TaskReport
-from poise.model.robot import Computer
 from poise.units import format_bytes
 from poise.wire.codec import pack, unpack
 from poise.wire.records.migration_records import StepsFailed
@@ -54,23 +53,25 @@ LONGEST = 50.0
 _MARGIN = 0.5
 """An answer is here so long after it was due at the latest [s]."""
 _LOOK_EVERY = 0.02
+_ANSWER_LIMIT = 1.0
+"""An agent tells what was written, or went out, within this time [s]."""
+_BITS = 62
+"""Of the numbers of requests."""
 
 
 def ask_port(live: LiveRobot, command: PortCommand) -> PortAnswer:
     """Return what came of a command; from any thread.
 
     It waits, within its limit, for a component that moves, restarts or is lost, and
-    asks a second time only where it was surely not begun. UsageError: there is no such
-    component, or the command is too large or takes too long; RunError: nobody took it
-    within its limit, or what took it gave no answer.
+    asks a second time only where it was surely not begun.
     """
     _check(live, command)
     clock, name = live.clock, command.component
     until = clock.now() + command.limit
     while True:
-        where, why = _place(live, name)
-        if where:
-            answer = _ask(live, command, where, until)
+        placed, why = _place(live, name)
+        if placed is not None:
+            answer = _ask(live, command, placed, until)
             if answer.outcome != "away":
                 return answer
             why = answer.reason
@@ -85,10 +86,7 @@ def ask_port(live: LiveRobot, command: PortCommand) -> PortAnswer:
 
 
 def set_parameters(live: LiveRobot, command: ParametersCommand) -> PortAnswer:
-    """Let a component take other parameters, or refuse; raises as `ask_port`.
-
-    From any thread; the manager then keeps what the component took.
-    """
+    """Let a component take other parameters, or refuse; from any thread."""
     commands = {entry.name for entry in live.robot.components() if entry.command}
     if command.component in commands:
         raise UsageError(
@@ -126,57 +124,49 @@ def _check(live: LiveRobot, command: PortCommand) -> None:
         )
 
 
-def _place(live: LiveRobot, name: str) -> tuple[str, str]:
-    """Return where a component works, or an empty text and why it does not."""
+def _place(live: LiveRobot, name: str) -> tuple[Incarnation | None, str]:
+    """Return the incarnation of a component that is active, or None and why not."""
     placed = live.placed.get(name)
     if placed is None:
         why = "no task at work needs it, or its architecture is suspended"
-        return "", f"component '{name}' does not run: {why}"
+        return None, f"component '{name}' does not run: {why}"
     if placed.computer in live.agents.out_of_reach():
-        return "", f"computer '{placed.computer}' is out of reach"
+        return None, f"computer '{placed.computer}' is out of reach"
     statuses = live.agents.statuses()
     here = {c: s for c, s in statuses.items() if c == placed.computer}
     for component in components_of(here):
         if component.key == (name, placed.epoch):
             is_active = component.state == "active"
-            return placed.computer if is_active else "", f"it is {component.state}"
-    return "", f"component '{name}' does not run on '{placed.computer}' yet"
+            return placed if is_active else None, f"it is {component.state}"
+    return None, f"component '{name}' does not run on '{placed.computer}' yet"
 
 
 def _ask(
-    live: LiveRobot, command: PortCommand, computer: str, until: float
+    live: LiveRobot, command: PortCommand, placed: Incarnation, until: float
 ) -> PortAnswer:
     limit = max(0.0, until - live.clock.now())
     request = PortRequest(
-        number=secrets.randbits(62),
-        container=live.layout.container_of(
-            live.placed.get(command.component)
-            or Incarnation(component=command.component, computer=computer)
-        ),
+        number=secrets.randbits(_BITS),
+        container=live.layout.container_of(placed),
         component=command.component,
         port=command.port,
         method=command.method,
         value=command.value,
         limit=limit,
     )
-    answer = live.agents.request(computer, request, limit + _MARGIN)
+    answer = live.agents.request(placed.computer, request, limit + _MARGIN)
     if isinstance(answer, PortAnswer):
         return answer
     what = "call" if command.method else "message"
     if live.clock.now() >= until:
         why = f"no answer within {command.limit:g} s; the {what} may have been taken"
         return PortAnswer(number=request.number, outcome="late", reason=why)
-    why = f"computer '{computer}' gave no answer"
+    why = f"computer '{placed.computer}' gave no answer"
     if isinstance(answer, Refused | StepsFailed):
         why = answer.reason
     raise RunError(
         f"'{command.component}.{command.port}': {why}; the {what} may have been taken"
     )
-
-
-_ANSWER_LIMIT = 1.0
-"""An agent tells what was written, or went out, within this time [s]."""
-_BITS = 62
 
 
 def answer(
@@ -207,12 +197,10 @@ def answer(
 def status_of(
     live: LiveRobot, tasks: Sequence[TaskReport], estimates: Estimates
 ) -> RobotStatus:
-    """Return the last known state, but for deviations and faults; from any thread.
-
-    The deviations are those of agents that are there, and have stopped to report.
-    """
+    """Return the last known state; of deviations, those of agents that are silent."""
     statuses, ages = live.agents.statuses(), live.agents.ages()
     out_of_reach, placement = live.agents.out_of_reach(), live.placement()
+    keys = live.agents.own_keys
     return RobotStatus(
         robot=live.robot.name,
         task=" and ".join(task.name for task in tasks if task.state == "going"),
@@ -226,7 +214,9 @@ def status_of(
             each for each in estimates.demand_estimates() if each.component in placement
         ),
         chains=chain_reports(live.robot, statuses),
-        capacities={c.name: _capacity(c) for c in live.robot.computers},
+        capacities={  # an emulated slow computer has a part of a core
+            c.name: {**c.capacity, "cpu": c.own_cores} for c in live.robot.computers
+        },
         parameters=live.desired.parameters,
         memory_demands=live.robot.demands("memory"),
         recent=live.journal.recent(),
@@ -235,14 +225,8 @@ def status_of(
         loads=estimates.loads.loads(without=out_of_reach),
         by_ros2=_by_ros2(live),
         traffic=estimates.traffic(),
-        notice=_notice(live),
+        notice="" if keys is None or keys.trouble else keys.latest().warning(),
     )
-
-
-def _notice(live: LiveRobot) -> str:
-    """Return that the manager's own keys end soon; empty: they do not."""
-    keys = live.agents.own_keys
-    return "" if keys is None or keys.trouble else keys.latest().warning()
 
 
 def _by_ros2(live: LiveRobot) -> tuple[str, ...]:
@@ -261,14 +245,9 @@ def _silent(
         if age > STALE and name not in out_of_reach:
             what = (
                 f"the agent of '{name}' is connected, but has stopped reporting: what "
+                "runs there is unknown; check its process and the load there"
             )
-            what += "runs there is unknown; check its process and the load there"
             yield Deviation(what=what, computer=name, since=now - age)
-
-
-def _capacity(computer: Computer) -> dict[str, float]:
-    """Return what a computer has; an emulated slow one has a part of a core."""
-    return {**computer.capacity, "cpu": computer.own_cores}
 
 
 def _read_log(agents: Agents, command: LogCommand) -> LogReading:
@@ -334,10 +313,9 @@ def _read_tap(live: LiveRobot, command: TapCommand) -> TapReading:
 def begin_of(
     statuses: Statuses, asked: str, others: Iterable[str] = ()
 ) -> tuple[str, str, str]:
-    """Return a connector's name, and the computer and container where it begins.
+    """Return the connector, or port without one, and its computer and container.
 
-    Or the same of a component's port at which no connector begins or ends. `others`
-    are those that begin in no container.
+    `others`: connectors that begin in no container.
     """
     found = dict(_begins(statuses))
     # of several, always the same: what others noted meanwhile would come too late
