@@ -244,8 +244,8 @@ def _silent(
     for name, age in sorted(ages.items()):
         if age > STALE and name not in out_of_reach:
             what = (
-                f"the agent of '{name}' is connected, but has stopped reporting: what "
-                "runs there is unknown; check its process and the load there"
+                f"the agent of '{name}' is connected, but has stopped reporting: its "
+                "components are unknown; check its process and the load there"
             )
             yield Deviation(what=what, computer=name, since=now - age)
 
