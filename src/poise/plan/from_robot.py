@@ -7,6 +7,7 @@ from itertools import pairwise
 
 from poise.errors import RobotError, UsageError
 from poise.model import robot as model
+from poise.model.check.allowed_computers import Pins, pins
 from poise.model.phases import needs_device
 from poise.plan.alternatives import needs, part
 from poise.plan.problem.items import Bundle, Edge, Hop, Item, TimeLimit
@@ -181,17 +182,10 @@ def _pins(
     architecture: model.Architecture,
     component: model.ComponentEntry,
     now: str | None,
-) -> Iterator[tuple[tuple[str, ...], str]]:
-    """Yield each set of computers that a component is held to, and why."""
-    if component.only:
-        yield component.only, f"only {' or '.join(component.only)}"
-    for name in component.devices:
-        where = robot.device(name).computer
-        yield (where,), f"device {name} is on {where}"
-    is_fixed = architecture.layer != "sequencing"
-    if is_fixed and now is None and architecture.home is not None:
-        yield (architecture.home,), f"{architecture.layer} layer of {architecture.home}"
-    if now is not None and is_fixed:
+) -> Pins:
+    """Yield where a component is held to, by the robot file and by where it runs."""
+    yield from pins(robot, architecture, component, layers_stay=now is None)
+    if now is not None and architecture.layer != "sequencing":
         yield (now,), f"runs on {now}, and the {architecture.layer} layer does not move"
     elif now is not None and not component.movable:
         yield (now,), f"runs on {now} and may not be moved"

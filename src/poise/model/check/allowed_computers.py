@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from itertools import combinations
-from typing import NamedTuple
 
 from poise.errors import listed
 from poise.model.check.names import components, mentions
@@ -17,49 +16,42 @@ from poise.units import format_amount
 Names = frozenset[str]
 
 
-class _Places(NamedTuple):
-    """Where things are on a robot: its computers, and that of each device."""
+Pins = Iterator[tuple[tuple[str, ...], str]]
+"""Sets of computers that a component is held to, each with the reason."""
 
-    computers: Names
-    hosts: Names  # Of these, those on which anything is placed
-    devices: Mapping[str, str]
 
-    @staticmethod
-    def of(robot: Robot) -> _Places:
-        return _Places(
-            frozenset(computer.name for computer in robot.computers),
-            frozenset(computer.name for computer in robot.hosts),
-            {device.name: device.computer for device in robot.devices},
-        )
-
-    def limits(
-        self,
-        architecture: Architecture,
-        component: ComponentEntry,
-        *,
-        layers_stay: bool = True,
-    ) -> dict[str, Names]:
-        """Return what limits a component, for people, -> the computers it leaves."""
-        limits = {
-            f"device '{name}' is on": frozenset({self.devices[name]})
-            for name in component.devices
-            if name in self.devices
-        }
-        if component.only:
-            limits["`only` allows"] = frozenset(component.only)
-        is_fixed = layers_stay and architecture.layer != "sequencing"
-        if is_fixed and architecture.home is not None:
-            reason = f"the {architecture.layer} layer stays at its home"
-            limits[reason] = frozenset({architecture.home})
-        return {reason: on for reason, on in limits.items() if on & self.computers}
+def pins(
+    robot: Robot,
+    architecture: Architecture,
+    component: ComponentEntry,
+    *,
+    layers_stay: bool = True,
+) -> Pins:
+    """Yield where a component is held to by the robot file, and why."""
+    if component.only:
+        yield component.only, f"only {' or '.join(component.only)}"
+    for device in robot.devices:
+        if device.name in component.devices:
+            text = f"device {device.name} is on {device.computer}"
+            yield (device.computer,), text
+    is_fixed = layers_stay and architecture.layer != "sequencing"
+    if is_fixed and (home := architecture.home) is not None:
+        yield (home,), f"the {architecture.layer} layer stays at its home {home}"
 
 
 def allowed_computers(robot: Robot, *, layers_stay: bool = True) -> Mapping[str, Names]:
-    """Return component -> the computers it may run on; names must be known."""
-    places = _Places.of(robot)
+    """Return component -> the computers it may run on; unknown ones hold nothing."""
+    hosts = frozenset(computer.name for computer in robot.hosts)
+    known = {computer.name for computer in robot.computers}
     return {
-        component.name: places.hosts.intersection(
-            *places.limits(architecture, component, layers_stay=layers_stay).values()
+        component.name: hosts.intersection(
+            *(
+                names
+                for names, _ in pins(
+                    robot, architecture, component, layers_stay=layers_stay
+                )
+                if not known.isdisjoint(names)
+            )
         )
         for _, architecture, component in components(robot)
     }
@@ -67,15 +59,16 @@ def allowed_computers(robot: Robot, *, layers_stay: bool = True) -> Mapping[str,
 
 def check_allowed_computers(robot: Robot) -> Iterator[Finding]:
     """Yield the components whose pins, devices and home leave no computer."""
-    places = _Places.of(robot)
+    known = {computer.name for computer in robot.computers}
     for path, architecture, component in components(robot):
-        limits = places.limits(architecture, component)
-        if limits and not frozenset.intersection(*limits.values()):
-            reasons = "; ".join(f"{r} {listed(sorted(h))}" for r, h in limits.items())
-            yield Finding(
-                path,
-                f"component '{component.name}' cannot run on any computer: {reasons}",
-            )
+        left, reasons = known, []
+        for names, reason in pins(robot, architecture, component):
+            if not known.isdisjoint(names):
+                left = left.intersection(names)
+                reasons.append(reason)
+        if not left:
+            text = f"component '{component.name}' cannot run on any computer"
+            yield Finding(path, f"{text}: {'; '.join(reasons)}")
 
 
 def check_demands(robot: Robot) -> Iterator[Finding]:
