@@ -13,7 +13,6 @@ from typing import NamedTuple, TypeVar
 
 from msgspec import structs
 
-from poise.clock import Clock
 from poise.runtime.agent import allowed_code
 from poise.runtime.agent.fence import Fence
 from poise.runtime.agent.heartbeat_exchange import HeartbeatExchange
@@ -125,7 +124,8 @@ class AgentCore:
             self.heartbeats.note_lapsed()
         self.standby = StandbyWatch(setup.computer, self.heartbeats, self.fence, world)
         self._last = self._status()
-        self._reports = StatusReports(world.publish, world.clock, self._last)
+        self._published = 0, self._last.states, self._last.missed
+        self._published_at = self._report_at = 0.0
         self._parts = self._table()
 
     def wake(self) -> None:
@@ -205,13 +205,13 @@ class AgentCore:
         return -inf if self._has_news else self._due
 
     def _next_due(self) -> float:
-        moments = [self._born + ADOPT_LIMIT] if not self.is_ready else []
+        moments = [self._end_limit]
         for part in self._parts:
             if part.due is None:
                 continue
             due = self.supervised.run(part.name, part.due) or -inf
             moments.append(max(due, self.supervised.again_at(part.name)))
-        return min([*moments, self._end_limit])
+        return min(moments)
 
     def end(self) -> None:
         """End every container in stages, in the ticks until `has_ended`."""
@@ -252,7 +252,7 @@ class AgentCore:
             _Part("adoption", adoption.give_up, adoption.moment),
             _Part("containers", self.supervisor.reconcile, self.supervisor.moment),
             _Part("clocks", self._tell_clocks),
-            _Part("status", self._report, self._report_due),
+            _Part("status", self._report, lambda: self._report_at),
         )
 
     def _about(self, container: str, work: Callable[..., T], *args: object) -> T | None:
@@ -356,22 +356,33 @@ class AgentCore:
         beats = self.heartbeats
         self.supervisor.send_clocks(Clocks(beats.clocks, beats.silent_computers))
 
-    def _report_due(self) -> float:
-        return self._reports.due if self.is_ready else self._born + ADOPT_LIMIT
-
     def _report(self) -> None:
         if not self.is_ready:
             if not self._knows_containers():
+                self._report_at = self._born + ADOPT_LIMIT
                 return
             self._world.appear()
-            self.is_ready = True
+            self.is_ready, self._report_at = True, self._clock.now()
         try:
             self._last = self._status()
         except Exception:  # what went wrong is said with what was known last
             self._last = structs.replace(self._last, errors=self.supervised.errors())
             raise
         finally:
-            self._reports.note(self._last, self.fence.arrivals)
+            self._publish(self._last)
+
+    def _publish(self, status: AgentStatus) -> None:
+        """Publish a status if it says something new, or if it is due."""
+        now, (arrivals, states, missed) = self._clock.now(), self._published
+        due = self._report_at
+        if status.missed != missed:
+            due = min(due, self._published_at + _MISSES_EVERY)
+        is_new = (self.fence.arrivals, status.states) != (arrivals, states)
+        if is_new or now >= due:
+            self._world.publish(status)
+            self._published = self.fence.arrivals, status.states, status.missed
+            self._published_at, due = now, now + REPORT_EVERY
+        self._report_at = due
 
     def _knows_containers(self) -> bool:
         """Return whether all that an earlier agent left have reported, or could."""
@@ -419,27 +430,3 @@ class AgentCore:
             unmanaged=self.fence.unmanaged,
             links=self.heartbeats.links(),
         )
-
-
-class StatusReports:
-    """Publishes an agent's status."""
-
-    def __init__(
-        self, publish: Callable[[AgentStatus], object], clock: Clock, first: AgentStatus
-    ) -> None:
-        self._publish = publish
-        self._clock = clock
-        self._published = 0, first.states
-        self._missed, self._sent = 0, 0.0
-        self.due = 0.0
-
-    def note(self, status: AgentStatus, arrivals: int) -> None:
-        """Publish a status if it says something new, or if it is due."""
-        news = arrivals, status.states
-        if status.missed != self._missed:
-            self.due = min(self.due, self._sent + _MISSES_EVERY)
-        if news != self._published or self._clock.now() >= self.due:
-            self._publish(status)
-            self._published, self._missed = news, status.missed
-            self._sent = self._clock.now()
-            self.due = self._sent + REPORT_EVERY

@@ -142,28 +142,13 @@ class OutputFile:
         self._at = max([self._at, *(int(at) for at in moments if at.isdigit())])
 
 
-class KeptLines(TextIOBase):
-    """Keeps what is written, by lines."""
-
-    def __init__(self, file: OutputFile) -> None:
-        self._file = file
-        self._line = threading.local()
-
-    def write(self, text: str) -> int:
-        """Keep each line that is complete."""
-        *lines, unended = (getattr(self._line, "text", "") + text).split("\n")
-        for line in lines:
-            self._file.add(line)
-        self._line.text = unended[:LONGEST]
-        return len(text)
-
-
-class KeptStream(KeptLines):
+class KeptStream(TextIOBase):
     """Standard output or error: passes all on, and keeps it by lines."""
 
     def __init__(self, stream: TextIO, file: OutputFile) -> None:
-        super().__init__(file)
         self._stream = stream
+        self._file = file
+        self._line = threading.local()
 
     def __getattr__(self, name: str) -> Any:  # noqa: ANN401, as the stream's
         """Return what else the stream has, such as its `buffer`."""
@@ -186,7 +171,11 @@ class KeptStream(KeptLines):
     def write(self, text: str) -> int:
         """Pass text on; keep each line that is complete."""
         self._pass_on(lambda: self._stream.write(text))
-        return super().write(text)
+        *lines, unended = (getattr(self._line, "text", "") + text).split("\n")
+        for line in lines:
+            self._file.add(line)
+        self._line.text = unended[:LONGEST]
+        return len(text)
 
     def flush(self) -> None:
         """Pass on what waits."""

@@ -40,7 +40,7 @@ class ContainerProcess:
         self.name = spec.name
         self.is_adopted = bool(pid)
         self.spec = spec
-        self._control = control
+        self.control = control
         self.pid = 0
         self.status: ContainerStatus | None = None
         self.silence: Silence | None = None
@@ -59,17 +59,13 @@ class ContainerProcess:
     def note_born(self, pid: int) -> None:
         """Take note of its process; raises as `ContainerControl.note_born`."""
         self.pid = pid
-        self._control.note_born(pid)
+        self.control.note_born(pid)
         if self.is_deaf:
             self.kill()
 
-    def extend_lease(self, until: float) -> None:
-        """Let its leased components act until then, as `ContainerControl` does."""
-        self._control.extend_lease(until)
-
     def is_fenced(self) -> bool:
         """Return whether its leased components may not act; False before its birth."""
-        return bool(self.pid) and self._control.is_lease_past()
+        return bool(self.pid) and self.control.is_lease_past()
 
     def runs_only(self, wanted: ContainerSpec | None) -> bool:
         """Return whether it says of no component that is not wanted."""
@@ -79,10 +75,6 @@ class ContainerProcess:
             return not self.is_adopted
         known = {component.key for component in wanted.components}
         return all(component.key in known for component in self._components())
-
-    def close(self) -> None:
-        """Let go of what leads to it."""
-        self._control.close()
 
     def deploy(self, spec: ContainerSpec) -> None:
         """Tell it what it should be now, if that changed."""
@@ -119,7 +111,7 @@ class ContainerProcess:
         return (
             silence is not None
             and not silence.is_starved
-            and silence.heartbeat == self._control.heartbeat()
+            and silence.heartbeat == self.control.heartbeat()
         )
 
     def note(self, what: FromContainer) -> ContainerAnswer | None:
@@ -160,12 +152,12 @@ class ContainerProcess:
         if self.pid and not self.is_stopping:
             self.is_stopping = True
             self.kill_at = now + (0.0 if self.silence else STOP_LIMIT)
-            self._beat = self._control.heartbeat()
-            self._control.signal(signal.SIGTERM)
+            self._beat = self.control.heartbeat()
+            self.control.signal(signal.SIGTERM)
 
     def _keep_stop_limit(self, now: float) -> None:
         """Kill it, unless its heart beats, for then it ends by itself."""
-        before, self._beat = self._beat, self._control.heartbeat()
+        before, self._beat = self._beat, self.control.heartbeat()
         if self._beat != before and not self.silence:
             self.kill_at = now + STOP_LIMIT
         else:
@@ -178,7 +170,7 @@ class ContainerProcess:
         """End it now, or as soon as it is born."""
         self.kill_at = float("inf")
         if self.pid:
-            self._control.signal(signal.SIGKILL)
+            self.control.signal(signal.SIGKILL)
 
     def last_error(self) -> str:
         """Return the last lines of the errors that it ended with, or nothing."""
@@ -227,7 +219,7 @@ class ContainerProcess:
 
     def _send(self, what: ToContainer) -> None:
         try:
-            self._control.send(what)
+            self.control.send(what)
         except (Timeout, Unavailable, WireError) as error:
             self.give_up("" if isinstance(error, Unavailable) else str(error))
 

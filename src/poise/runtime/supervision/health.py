@@ -11,12 +11,12 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
-from typing import Protocol
 
 from msgspec import Struct, structs
 
 from poise.clock import wall_time
 from poise.kernel_counters import Processes
+from poise.runtime._calls import PageSampler
 from poise.wire.records.status_records import ContainerHealth, ContainerState, Fault
 
 _MOST_FAULTS = 100
@@ -172,13 +172,6 @@ class Silence(Struct, frozen=True, kw_only=True):
     is_starved: bool = False
 
 
-class WatchedPage(Protocol):
-    """What the watchdog reads of a container's stats page."""
-
-    def heartbeat(self) -> int:
-        """Return how often the control thread has run; 0 before the first time."""
-
-
 class _Watched:
     """What is known of one container's heartbeat."""
 
@@ -203,7 +196,7 @@ class Watchdog:
         self._looked_at = 0.0
 
     def check(
-        self, containers: Iterable[tuple[str, int, WatchedPage]]
+        self, containers: Iterable[tuple[str, int, PageSampler]]
     ) -> Iterator[Silence]:
         """Yield the containers that do not respond any more, or do so again."""
         now = self._clock()

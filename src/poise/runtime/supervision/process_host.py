@@ -13,9 +13,9 @@ from pathlib import Path
 
 from poise.kernel_counters import (
     CPU_GROUP,
-    NO_LIMIT,
     PREPARED,
     PRESSURE_GROUP,
+    ComputerMemory,
     memory_group,
     mounts,
     table,
@@ -126,7 +126,7 @@ class OomKills:
             proc / "vmstat",
         ]
         self._file = next((f for f in counters if _count(f) is not None), None)
-        self._limits = group / "memory.max", group / "memory.limit_in_bytes"
+        self._memory = ComputerMemory(proc)
         self._counted = (_count(self._file) or 0) if self._file else 0
         self._unclaimed: deque[float] = deque()
 
@@ -150,13 +150,8 @@ class OomKills:
 
     def limit(self) -> str:
         """Return the memory limit of this computer in words; empty: none is known."""
-        for file in self._limits:
-            try:
-                limit = int(file.read_text())
-            except (OSError, ValueError):
-                continue
-            return f" (limit {format_bytes(limit)})" if limit < NO_LIMIT else ""
-        return ""
+        limit = self._memory.size()
+        return f" (limit {format_bytes(limit)})" if limit else ""
 
 
 def _count(file: Path) -> int | None:

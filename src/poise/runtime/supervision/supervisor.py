@@ -84,7 +84,7 @@ class Supervisor:
                 or not process.is_fenced()
                 or process.runs_only(_named(process.name, wanted))
             ):
-                process.extend_lease(until)
+                process.control.extend_lease(until)
 
     def deploy(self, wanted: Deployment, *, is_left: bool = False) -> None:
         """Work towards a deployment from now on.
@@ -314,7 +314,7 @@ class Supervisor:
     ) -> None:
         """Record a container's end, so that it can be started again later."""
         del self.processes[process.name]
-        process.close()
+        process.control.close()
         self._host.release(process.name)
         self.cpu_of_ended += process.status.cpu if process.status else 0.0
         if process.is_stopping or self._is_ending:

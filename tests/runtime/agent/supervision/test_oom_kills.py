@@ -30,7 +30,10 @@ def kernel(folder: Path, version: int, kills: int) -> Path:
     else:
         (proc / "vmstat").write_text(f"pgfault 1\noom_kill {kills}\n")
     limit = {1: "memory.limit_in_bytes", 2: "memory.max"}.get(version, "unused")
+    use = {1: "memory.usage_in_bytes", 2: "memory.current"}.get(version, "unused")
     (group / limit).write_text(f"{256 << 20}\n")
+    (group / use).write_text("4096\n")
+    (group / "memory.stat").write_text("inactive_file 0\n")
     return proc
 
 

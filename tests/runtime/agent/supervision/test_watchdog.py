@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import cast
 
 from poise.kernel_counters import Processes
+from poise.runtime._calls import PageSampler
 from poise.runtime.supervision.health import CHECK_EVERY, Silence, Watchdog
 
 PID = 7
@@ -61,7 +63,7 @@ class World(Processes):
             self.beats += beats
             self.used += cpu * CHECK_EVERY
             self.waited += wait * CHECK_EVERY
-            found += self.dog.check([("c", PID, self)])
+            found += self.dog.check([("c", PID, cast(PageSampler, self))])
         return found
 
 
