@@ -1,9 +1,7 @@
 """Makes and uses msgspec's decoders, one thread at a time.
 
-msgspec (0.22) keeps on each class what its decoders know of it, and puts it there
-before it is whole. A decoder with that class that another thread makes meanwhile
-crashes the process as it decodes. So decoders are made by these functions only; what is
-made may be used by any thread.
+msgspec (0.22) keeps on each class what its decoders know of it before it is whole: one
+that another thread makes meanwhile would crash the process as it decodes.
 """
 
 from __future__ import annotations

@@ -1,9 +1,7 @@
 """Which threads go first: control threads, then transfers of state, then components.
 
-Preparations come last. Threads differ by their nice values, which the threads that they
-start inherit. With `REAL_TIME` set, those that call `go_first` are real-time threads of
-the lowest priority where the system allows it (root, or a limit ``rtprio``); nobody
-inherits that.
+Threads differ by their nice values, which the threads that they start inherit. With
+`REAL_TIME` set, those that call `go_first` are real-time threads where they may be.
 """
 
 from __future__ import annotations

@@ -81,10 +81,7 @@ def is_lack_of_threads(error: BaseException) -> bool:
 
 
 def explained(error: Exception) -> Exception:
-    """Return a RunError with a way out where no thread is free; else the error itself.
-
-    Any library may raise this error.
-    """
+    """Return a RunError with a way out where no thread is free; else the same error."""
     return RunError(NO_THREAD) if is_lack_of_threads(error) else error
 
 

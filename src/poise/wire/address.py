@@ -104,10 +104,7 @@ def socket_path(folder: Path, container: str) -> Path:
 
 
 def gateway_path(folder: Path, container: str) -> Path:
-    """Return the path of the socket over which a container is handed connections.
-
-    It is as long as the other one, so that a folder has room for both or none.
-    """
+    """Return where a container is handed connections, a path as long as the other."""
     return socket_path(folder, container).with_suffix(".gate")
 
 

@@ -128,10 +128,7 @@ _LOOKS = (
 
 
 def _access(robot: str) -> dict[str, object]:
-    """Return what an agent allows: all to a manager; to a viewer, to see its news.
-
-    Other computers have no business with it.
-    """
+    """Return what an agent allows: all to a manager; to a viewer, to see its news."""
 
     def rule(
         name: str, flows: Sequence[str], messages: Sequence[str]
@@ -168,8 +165,7 @@ def _access(robot: str) -> dict[str, object]:
 def _close_without_waiting(event: zenoh.LinkEvent) -> None:
     """Let the kernel close links in the background.
 
-    zenoh closes them with SO_LINGER of 10 s on the threads that receive from all peers:
-    one peer that is cut off would silence all others.
+    zenoh waits up to 10 s for each, on the threads that receive from all peers.
     """
     if event.kind == zenoh.SampleKind.PUT:
         for link in _sockets(event.link):

@@ -1,9 +1,8 @@
 """Who takes part in a robot: certificates of the robot's own authority, in one folder.
 
-Each computer and each person has a folder of keys (`poise keys`). With it the manager
-and the agents speak TLS 1.3, both sides with a certificate; so do containers on two
-computers; and heartbeats carry a keyed MAC. What a peer may do follows from its role,
-the common name in its certificate, for zenoh's access control knows that only.
+With them managers, agents and containers speak TLS 1.3 with each other, and heartbeats
+carry a keyed MAC. What a peer may do follows from its role, the common name in its
+certificate, for zenoh's access control knows that only.
 """
 
 from __future__ import annotations

@@ -204,10 +204,7 @@ class RecordWriter:
         self._rest = memoryview(b"")
 
     def send(self, record: Struct) -> None:
-        """Send a record within `RECORD_LIMIT`.
-
-        After a Timeout, what is left of a record that had begun goes before the next.
-        """
+        """Send a record; after a Timeout, what is left of it goes before the next."""
         self.send_packet(pack_record(record))
 
     def send_packet(self, packet: Bytes) -> None:

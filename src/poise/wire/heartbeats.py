@@ -1,11 +1,8 @@
 """Sends and takes heartbeats: datagrams, on a thread that goes first.
 
-A heartbeat names the last heartbeats that its sender has heard. So each participant
-knows up to which of its own heartbeats the others have heard it, on its own clock: no
-clock is compared with another.
-
-No connection: after a cut, TCP may be silent for longer than the cut lasted, and one
-lost packet holds back all that come after it.
+A heartbeat names the last heartbeats that its sender has heard: so each participant
+knows on its own clock up to when it was heard. After a cut, TCP would be silent for
+longer than the cut, and hold back all that comes after a lost packet.
 """
 
 from __future__ import annotations
@@ -200,10 +197,7 @@ class Contacts:
         ]
 
     def unanswered_since(self, name: str) -> float:
-        """Return when the first own heartbeat went out that another has not heard [s].
-
-        Infinite when it has heard all.
-        """
+        """Return when the first own heartbeat went out that it has not heard; or inf."""
         contact = self._contacts.get(name)
         acked = contact.acked if contact is not None else None
         first = float("inf")
@@ -269,11 +263,7 @@ class Datagrams(Protocol):
 
 
 class UdpDatagrams:
-    """A UDP socket.
-
-    `listen`: where; None: anywhere, and what it sends goes to IPv4 and to IPv6; `keys`:
-    what signs, for only what they signed is taken.
-    """
+    """A UDP socket: at `listen`, else anywhere, for IPv4 and IPv6; `keys` sign."""
 
     def __init__(
         self,

@@ -1,8 +1,7 @@
 """The robots of this user here: their managers' control sockets, and their agents.
 
-All is in the user's runtime folder. A manager whose agents outlive it notes them beside
-its control socket, and each agent notes all where no manager does. The note stays until
-the robot has stopped.
+A manager whose agents outlive it notes them beside its control socket, and each agent
+notes all where no manager does, until the robot has stopped.
 """
 
 from __future__ import annotations
@@ -178,10 +177,7 @@ def note(addresses: AgentAddresses) -> None:
 
 
 def forget(robot: str) -> None:
-    """Forget the agents of a robot that has stopped; harmless when repeated.
-
-    The control socket of a killed manager goes, too.
-    """
+    """Forget the agents of a stopped robot, and the socket of its killed manager."""
     _path(robot).unlink(missing_ok=True)
     if not is_alive(path_of(robot)):
         path_of(robot).unlink(missing_ok=True)

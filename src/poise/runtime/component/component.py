@@ -42,13 +42,8 @@ _LONGEST = 1e9
 class Context(Struct, frozen=True, kw_only=True):
     """What a container gives a component at birth.
 
-    `devices`: the names of the devices it needs -> their paths.
-    `measure`: takes a name and a value.
-    `count_process`: lets a process's CPU time count as its own; 0: that of its thread
-    again.
+    `count_process`: lets a process's CPU time count as its own; 0: that of its thread.
     `give_up`: ends the container, for this reason; the agent starts it again.
-    `request`: takes what it wants done, and with which task.
-    `calls`: those that it starts without waiting.
     `listen`: lets its thread get work from a `WorkSource`, too; None: no more.
     `takes_over`: whether it is about to go on with the work of its predecessor.
     `age`: returns how long ago the last message of a subscribed port came [s].
@@ -383,8 +378,7 @@ def shown_parameters(component: Component) -> dict[str, Any]:
 def set_parameters(component: Component, changes: Values) -> None:
     """Let a component take other values of some of its parameters, or none of them.
 
-    Raises UsageError: there is no such parameter, or a value does not fit; and whatever
-    its `reconfigure` raises.
+    Raises UsageError where a name or value does not fit, and what `reconfigure` raises.
     """
     now = plain(component.parameters)
     settable = component._settable()  # noqa: SLF001, of its own class

@@ -155,8 +155,7 @@ Seen = tuple[type, ...]
 def fingerprint(type_: Any) -> Hashable:  # noqa: ANN401, any type
     """Return what a type is made of; types with equal fingerprints fit each other.
 
-    Limits of values do not count: each end checks its own. Nor does how a version of
-    Python or NumPy writes a type, for the ends may have other versions.
+    Limits of values do not count, nor how versions of Python and NumPy write a type.
     """
     return _fingerprint(type_, ())
 

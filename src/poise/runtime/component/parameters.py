@@ -27,12 +27,7 @@ def parameters_type(implementation: type) -> type[Struct] | None:
 
 
 def as_declared(implementation: type, values: Values) -> Any:  # noqa: ANN401, any type
-    """Return parameters of the type that a class declares.
-
-    Numbers may have units, as everywhere in a robot file.
-
-    Raises UsageError: they do not fit it.
-    """
+    """Return parameters of the type that a class declares; numbers may have units."""
     type_ = parameters_type(implementation)
     if type_ is None:
         return values
@@ -42,10 +37,7 @@ def as_declared(implementation: type, values: Values) -> Any:  # noqa: ANN401, a
 
 
 def problems(type_: type[Struct], values: Values) -> Iterator[tuple[str, str]]:
-    """Yield the name of each parameter that does not fit, and why.
-
-    The name is empty where one is missing, or where several do not fit together.
-    """
+    """Yield each parameter that does not fit, and why; an empty name: it lacks some."""
     is_fine = True
     fields = {field.encode_name: field for field in msgspec.structs.fields(type_)}
     for name in values:

@@ -143,10 +143,7 @@ class Queue(Struct, frozen=True):
 
 
 class Port(Struct, frozen=True):
-    """A port, as the class declares it.
-
-    `type` is the message class of a topic or the interface class of calls.
-    """
+    """A port, as its class declares it; `type`: a message class, or an interface."""
 
     name: str
     kind: PortKind
@@ -320,13 +317,7 @@ _MARKS = ("__poise_queue__", "__poise_input__", "__poise_timer__")
 
 
 def ports_of(component: type) -> Mapping[str, Port]:
-    """Return the ports of a component class by name.
-
-    Raises UsageError: when a subscribed method does not say its message's type, a
-    provided interface has a method that the component lacks, a method cannot be called
-    as Poise does, the class hides what `Component` offers, or has what is meant as a
-    port or method and would do nothing.
-    """
+    """Return the ports of a component class by name; UsageError: it cannot be run."""
     hints = get_type_hints(component, include_extras=True)
     _check_names(component, hints)
     ports = {}
@@ -366,8 +357,7 @@ def ports_of(component: type) -> Mapping[str, Port]:
 def _functions_of(owner: type) -> Iterator[tuple[str, FunctionType]]:
     """Yield the functions of a class by name.
 
-    `inspect.getmembers` goes through the dictionaries of its bases, to which another
-    thread adds annotations when it is the first that reads them.
+    `inspect.getmembers` reads dictionaries to which another thread adds annotations.
     """
     for name in dir(owner):
         if isinstance(found := getattr(owner, name, None), FunctionType):

@@ -1,7 +1,6 @@
 """Calls that a component starts without waiting: their answers come in its own turn.
 
-A call goes out from a thread of its container, with what time its starter had left. A
-move waits until all have been answered and taken, since no answer could follow.
+A move waits until all have been answered and taken, since no answer could follow.
 """
 
 from __future__ import annotations

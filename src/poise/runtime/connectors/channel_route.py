@@ -203,12 +203,7 @@ def _told(error: CallError | WireError, call: str, limit: float) -> CallError:
 
 
 class ReceivingEnd(Struct, frozen=True, kw_only=True):
-    """The end of a connector at which frames come in.
-
-    `target`: the endpoints of the component that it ends at.
-    `feed`: where what comes waits for the component.
-    `issuer`: tells the other end how much may come.
-    """
+    """The end of a connector at which frames come in; what comes waits in `feed`."""
 
     spec: ConnectorSpec
     target: ComponentEndpoints

@@ -26,11 +26,7 @@ Timing = Callable[[Callable[..., Any], str], Callable[..., Any]]
 
 
 class OvertakenSources:
-    """The latest incarnations of the sources of one component; any thread may ask.
-
-    What a lost incarnation had sent may come over a cut link when another one has
-    begun.
-    """
+    """Which incarnation of each source sent last; what a lost one sent may be late."""
 
     def __init__(self) -> None:
         self._latest: dict[str, int] = {}

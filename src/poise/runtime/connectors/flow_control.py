@@ -3,12 +3,10 @@
 A target whose queue blocks sends *credit*: how many messages the source may have sent
 in all, since the route began (its number is random, so a restarted end differs). As
 a total it may be lost, doubled or late. A source without credit *requests* it in the
-stream of its messages: what it sent before has arrived by then, or never will. Each
-connection begins with a request, so that lost messages are counted at once. Credit goes
-back once half of the queue is empty: one frame for many messages. A queue that keeps
-the last messages gives credit without bound, once.
-
-Credit also says which numbered message came last (`latest`); to other sources nothing.
+stream of its messages: what it sent before has arrived by then, or never will. So each
+connection begins with a request. Credit goes back once half of the queue is empty: one
+frame for many messages. A queue that keeps the last messages gives it without bound.
+Credit also says which numbered message came last (`latest`).
 """
 
 from __future__ import annotations
@@ -129,10 +127,7 @@ class CreditIssuer:
             self._back = None
 
     def _count(self, route: int, came: int) -> None:
-        """Note how many messages came, and count those that got lost.
-
-        WireError: it is over `_MOST_SENT`.
-        """
+        """Count a route's messages that got lost; WireError: over `_MOST_SENT` went."""
         if came > _MOST_SENT:
             raise WireError(f"{came} messages are said to have gone over one route")
         if route != self._route:

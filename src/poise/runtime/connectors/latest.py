@@ -1,11 +1,9 @@
 """The last message of a port that is ``published(latest=True)``, for late subscribers.
 
-Such messages are numbered, and have a tag of their own. A target knows the number of
-the last one that it got over each connector, and says it with its credit. When that is
-less than the source's, and nothing else is on its way, the source sends its last
-message *again*; a target takes a message once, and none again that is older than what
-it has. Both go along when a component moves: the source's last message, and the numbers
-of the target.
+Such messages are numbered. A target says with its credit which one it got last; when
+the source has a later one, and nothing is on its way, it sends that *again*. A target
+takes none twice, and none again that is older than what it has. A move takes along the
+source's last message, and the numbers of the target.
 """
 
 from __future__ import annotations

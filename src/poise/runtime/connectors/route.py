@@ -107,7 +107,7 @@ class DirectRoute(Route):
         return 0
 
     def _is_overtaken(self) -> bool:
-        """Note that a message is sent; drop and count it when a later incarnation has.
+        """Drop and count a message when a later incarnation has sent.
 
         A thread of a component's own may still publish where the component moved away.
         """

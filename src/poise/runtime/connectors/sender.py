@@ -1,9 +1,8 @@
 """The source's end of a connector: one to the component, whatever route it takes.
 
-While a component moves there are two routes; the sender buffers messages meanwhile and
-then switches, so that every message takes exactly one of them, in order. No lock is
-held while a route sends: a message claims the sender, and others wait. A thread sends
-what was buffered, so that no step of a move waits for a receiver.
+While a component moves, the sender buffers messages, and then switches routes, so that
+each takes exactly one, in order. No lock is held while a route sends, and a thread
+sends what was buffered: no step of a move waits for a receiver.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
 """Observes a connector: what goes out, for viewers, and what comes in, for a file.
 
-A sender that nobody looks at has no observer, and does not ask whether it has. What is
-noted is bounded; what finds no room is counted.
+What is noted is bounded; what finds no room is counted.
 """
 
 from __future__ import annotations

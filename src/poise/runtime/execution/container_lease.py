@@ -1,7 +1,6 @@
 """The lease of a container's components, which fence themselves when it ends.
 
-The agent writes its end into the stats page (`poise.runtime._calls.LeaseEnd`); a leased
-component reads it before each handler, and before what leaves or enters its container.
+A leased component reads its end before each handler, and before what leaves or enters.
 """
 
 from __future__ import annotations

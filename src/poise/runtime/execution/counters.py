@@ -1,8 +1,6 @@
 """What is counted in a container, and the stats page that its agent reads it from.
 
-The page is shared memory. No process is woken: threads add in place, and the agent
-samples all containers at once and asks the kernel for their threads' CPU time, in
-native code.
+The page is shared memory: threads add in place, and wake no process.
 """
 
 from __future__ import annotations

@@ -2,22 +2,16 @@
 
 The term is that of Feiertag, Richter, Nordlander and Jonsson (2008), "A compositional
 framework for end-to-end path delay calculation of automotive systems under different
-path semantics": from the moment when a datum is made at the beginning of a chain to the
-moment of its use at the end, however often it is used. The largest is the *maximum data
-age*. The rule:
+path semantics": from when a datum is made at the beginning of a chain to its use.
 
-- The first component of a chain stamps data when it publishes it, passes it on in a
-  call, or answers one.
-- The stamp goes with messages, calls and answers from one component of the chain to the
-  next one. A component that takes several inputs in one run goes on with the oldest.
-- A timer works on what came last: it uses the stamp that was taken last.
+- The first component of a chain stamps data when it sends it; the stamp goes along.
+- A component that takes several inputs in one run goes on with the oldest; a timer,
+  with what was taken last.
 - A component within the chain uses data when it sends it on. The last one uses it at
   the end of each run that took some, and at the end of each run of a timer.
 
-All times are of the computer's own monotonic clock [s]. A stamp from another computer
-is translated where it comes in, and is no number while that one's clock is not known.
-Over a wire stamps stand before the value, 9 bytes each and 2 in all; both ends know
-from the deployment which chains pass.
+Stamps are of the computer's own monotonic clock [s], translated where they come in; no
+number while the other clock is not known. Over a wire they stand before the value.
 """
 
 from __future__ import annotations

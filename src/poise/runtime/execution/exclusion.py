@@ -1,9 +1,8 @@
 """Mutual exclusion of call chains in a component.
 
 It is ROS 2's mutually exclusive callback group, with re-entrance: a *chain* begins with
-a timer or a message, goes on through every call made in it, and may come back to a
-component in which it waits. The code is native; ``tests/runtime/reference.py`` is the
-same in Python, and tests compare them.
+a timer or a message, and may come back to a component in which it waits. The code is
+native; ``tests/runtime/reference.py`` is the same in Python, and tests compare them.
 """
 
 from __future__ import annotations

@@ -1,12 +1,10 @@
 """Blocks of shared memory (memfd) for the arrays that cross connections.
 
-The sender copies arrays into a block, or they lie there from the start (`loan`); the
-receiver's arrays are read-only views. The first page has a byte, a *slot*, for each
-connection and for the loan: the sender sets it, the receiver clears it when the last
-array is gone, and a third value says that the block is being filled
-(``native/filling.h``). A block whose slots are clear is used again; one that is still
-lent when its connection ends is given up. It has no name in the file system, so the
-kernel frees what a crash leaves behind.
+Arrays are copied into a block, or lie there from the start (`loan`); the receiver's are
+read-only views. The first page has a byte, a *slot*, for each connection and the loan:
+the sender sets it, the receiver clears it when the last array is gone; a third value
+says that the block is being filled (``native/filling.h``). A block whose slots are
+clear is used again; one still lent when its connection ends is given up.
 """
 
 from __future__ import annotations

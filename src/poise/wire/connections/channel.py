@@ -1,10 +1,8 @@
 """The sending end of a connector: connections to the container where it ends.
 
-The first frame of a connection names the connector. A call has a connection to itself
-until its answer is there: the calling thread reads the answer, so no thread wakes
-another. Messages use one connection, which keeps their order; credit comes back over
-it. A receiver takes all that came over a connection before what comes over the one that
-replaces it.
+A call has a connection to itself until its answer is there, which the calling thread
+reads. Messages use one connection, which keeps their order, and on which credit comes
+back. A receiver takes all that came over it before what comes over the next one.
 """
 
 from __future__ import annotations

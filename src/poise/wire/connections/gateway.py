@@ -1,7 +1,7 @@
 """The gateway of a computer: where connections from other computers arrive.
 
-The first frame of a connection names a container, and the gateway hands the connection
-on to it: containers need no ports, and a restarted container keeps its address.
+It hands each on to the container that the first frame names: a restarted container
+keeps its address.
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
-"""Frames over TLS 1.3, between containers on two computers.
+"""Frames over TLS 1.3, between containers on two computers, as `_channel` has them.
 
-It does what `poise.wire._channel` does over a plain socket, with Python's `ssl`. One
-thread may send while another receives, but OpenSSL lets only one at a time into a
-session: so all waiting happens outside.
+OpenSSL lets only one thread at a time into a session: so all waiting happens outside.
 """
 
 from __future__ import annotations

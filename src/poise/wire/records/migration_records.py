@@ -1,7 +1,6 @@
 """What manager and containers tell each other while components move.
 
-A *source* is the incarnation that a component leaves, a *target* the one that it goes
-to. Why the steps come in this order: docs/design/moves.md.
+A component leaves its *source* for its *target*. Why so: docs/design/moves.md.
 """
 
 from __future__ import annotations

@@ -75,10 +75,7 @@ class Election(Struct, frozen=True, kw_only=True):
 
 
 def majority_at(votes: Mapping[str, int], moments: Mapping[str, float]) -> float:
-    """Return the last moment that agents with a majority have reached; else -inf.
-
-    `moments`: computer -> what its agent has reached.
-    """
+    """Return the last moment that agents with a majority have reached; else -inf."""
     most, got = sum(votes.values()), 0
     for name in sorted(votes, key=lambda name: -moments.get(name, -inf)):
         got += votes[name]
