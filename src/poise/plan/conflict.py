@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from math import inf, isinf
+from math import ceil, floor, inf, isinf, log10
 from typing import NamedTuple
 
 from msgspec.structs import replace
@@ -11,18 +11,21 @@ from msgspec.structs import replace
 from poise.model.hardware import fits
 from poise.model.robot import Objective
 from poise.plan._core import Core
-from poise.plan.problem.arrays import Arrays, arrays_of
-from poise.plan.problem.changed_problem import keep_components
-from poise.plan.problem.problem import Problem
-from poise.plan.relaxation import (
+from poise.plan.limits import (
     Limit,
-    Relaxation,
+    Raises,
     in_words,
     limits_of,
     price,
     relaxed,
     rises,
+    share_of,
+    softened,
+    usual,
 )
+from poise.plan.problem.arrays import Arrays, arrays_of
+from poise.plan.problem.changed_problem import keep_components
+from poise.plan.problem.problem import Problem
 from poise.plan.result_records import Ask, Conflict
 from poise.plan.violations import Late, amount_of, late, named
 
@@ -32,6 +35,12 @@ ALL_STEPS = 8_000_000
 """How many all proofs together may take, about two seconds."""
 MOST_COMPONENTS = 60
 """Up to how many components are left out one by one, to find those that conflict."""
+NEAR = 5e-3
+"""How close a raise comes to the least that is enough, relative to it."""
+SIMPLER = 0.95
+"""Several limits are raised instead of one if they take less than this share of it."""
+MOST_TRIES = 64
+"""How many single limits are tried to be raised."""
 
 
 class ShortUnits(NamedTuple):
@@ -130,8 +139,7 @@ def conflict(
     if subset is None:
         return None
     part, limits, irreducible = subset
-    relaxation = Relaxation(oracle, lambda p: _infeasible_subset(p, oracle))
-    raises = relaxation.find(problem, limits)
+    raises = _Relaxation(oracle).find(problem, limits)
     return Conflict(
         components=tuple(c.name for c in part.components),
         limits=_sentences(part, limits),
@@ -296,3 +304,118 @@ def _at_least(part: Problem) -> str:
     where = " or ".join(arrays.problem.computers[h].name for h in short.computers)
     resource = arrays.resources[k]
     return f"at least {amount_of(resource, missing)} more {resource} on {where}"
+
+
+class _Relaxation:
+    """Looks for the smallest relaxation: which limits must give way, by how much."""
+
+    def __init__(self, oracle: Oracle) -> None:
+        self._oracle = oracle
+
+    def find(self, problem: Problem, limits: list[Limit]) -> Raises:
+        """Return what has to give way, so that the whole problem holds; or nothing."""
+        whole = list(limits_of(problem))
+        limits = [next(k for k in whole if k.covers(limit)) for limit in limits]
+        ways: list[Raises] = [
+            {limit: self._at_most(problem, limit, limit.most)}
+            for limit in limits[:MOST_TRIES]
+            if limit.most > 0 and self._holds(problem, {limit: inf})
+        ]
+        one = min(ways, key=lambda way: price(problem, way), default=None)
+        several = self._capacities(problem) or self._several(problem, limits)
+        if one is None or price(problem, several) < SIMPLER * price(problem, one):
+            return several
+        return one
+
+    def _capacities(self, problem: Problem) -> Raises:
+        """Return the least rises of capacities that are enough, if any are."""
+        soft = [k for k in limits_of(problem) if k.kind == "capacity"]
+        if len(soft) > MOST_TRIES or len(problem.components) > MOST_TRIES:
+            return {}
+        placement = self._oracle.least(softened(problem, soft))
+        raises: dict[Limit, float] = {}
+        for limit in soft if placement else ():
+            computer, resource = limit.names
+            h = next(h for h in problem.computers if h.name == computer)
+            used = sum(
+                c.demand.get(resource, 0.0)
+                for c in problem.components
+                if placement[c.name] == computer
+            )
+            if not fits(used, usable := h.usable(resource)):
+                raises[limit] = (used - usable) / share_of(h, resource)
+        for limit, enough in list(raises.items()):
+            others = {k: more for k, more in raises.items() if k is not limit}
+            raises[limit] = self._at_most(relaxed(problem, others), limit, enough)
+        return raises if self._holds(problem, raises) else {}
+
+    def _several(self, problem: Problem, limits: list[Limit]) -> Raises:
+        """Lift what is in conflict, over and over; then take back what was needless."""
+        chosen: list[Limit] = []
+        while not self._holds(problem, dict.fromkeys(chosen, inf)):
+            lifted = [limit for limit in limits if limit.most > 0] or limits[-1:]
+            if not lifted:
+                return {}
+            chosen += lifted
+            rest = relaxed(problem, dict.fromkeys(chosen, inf))
+            subset = _infeasible_subset(rest, self._oracle)
+            limits = [
+                limit
+                for limit in limits_of(problem)
+                if subset and any(limit.covers(other) for other in subset[1])
+                if limit not in chosen
+            ]
+        return self._with_less(problem, chosen)
+
+    def _with_less(self, problem: Problem, chosen: list[Limit]) -> Raises:
+        """Return a relaxation of some of these limits: none more than is needed."""
+        for limit in [k for k in chosen if k.advice]:
+            others = [other for other in chosen if other is not limit]
+            if self._holds(problem, dict.fromkeys(others, inf)):
+                chosen = others
+        lifts: Raises = dict.fromkeys((k for k in chosen if k.advice), inf)
+        soft = sorted((k for k in chosen if not k.advice), key=lambda k: k.names)
+        if not soft or self._holds(problem, lifts):
+            return lifts
+        # All alike first, in shares of what is usual; then one by one.
+        units = {k: usual(problem, k) for k in soft}
+        low, high = 0.0, max(k.most / unit for k, unit in units.items())
+        while high - low > NEAR * high:
+            share = (low + high) / 2
+            raises = {k: share * unit for k, unit in units.items()}
+            if self._holds(problem, {**raises, **lifts}):
+                high = share
+            else:
+                low = share
+        raises = {k: high * unit for k, unit in units.items()}
+        for limit in soft:
+            enough = raises.pop(limit)
+            rest = relaxed(problem, {**raises, **lifts})
+            raises[limit] = self._at_most(rest, limit, enough)
+        return {**{k: more for k, more in raises.items() if more > 0}, **lifts}
+
+    def _at_most(self, problem: Problem, limit: Limit, enough: float) -> float:
+        """Return as small a raise as is found, given one that is enough."""
+        if self._oracle.is_spent():
+            return enough
+        if self._holds(problem, {}):
+            return 0.0
+        low, high = 0.0, enough
+        while high - low > NEAR * high:
+            middle = (low + high) / 2
+            if self._holds(problem, {limit: middle}):
+                high = middle
+            elif self._oracle.is_spent():
+                return high
+            else:
+                low = middle
+        # The roundest number that is enough; one that is no less than `high` is.
+        for digits in (1, 2, 3):
+            step = 10.0 ** (floor(log10(high)) + 1 - digits)
+            rounded = ceil(low / step + 1e-9) * step
+            if rounded <= high and self._holds(problem, {limit: rounded}):
+                return rounded
+        return ceil(high / step - 1e-9) * step
+
+    def _holds(self, problem: Problem, raises: Raises) -> bool:
+        return self._oracle.ask(relaxed(problem, raises)) is True

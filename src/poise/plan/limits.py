@@ -1,14 +1,13 @@
-"""The smallest relaxation of limits: which must give way, and by how much."""
+"""The limits of a problem, in words, and the problem with some of them relaxed."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from math import ceil, floor, inf, log10
-from typing import NamedTuple, Protocol
+from collections.abc import Iterator, Mapping
+from math import inf
+from typing import NamedTuple
 
 from msgspec.structs import replace
 
-from poise.model.hardware import fits
 from poise.model.robot import Computer, Objective
 from poise.plan.problem.items import SoftLimit
 from poise.plan.problem.problem import LEAST, MOST, Problem
@@ -16,26 +15,6 @@ from poise.plan.result_records import More
 from poise.plan.summed_times import longest
 from poise.plan.violations import amount_of
 from poise.units import format_seconds
-
-NEAR = 5e-3
-"""How close a raise comes to the least that is enough, relative to it."""
-SIMPLER = 0.95
-"""Several limits are raised instead of one if they take less than this share of it."""
-MOST_TRIES = 64
-"""How many single limits are tried to be raised."""
-
-
-class Asks(Protocol):
-    """Says whether a problem can hold."""
-
-    def ask(self, problem: Problem) -> bool | None:
-        """Return whether some placement keeps all limits; None when not known."""
-
-    def is_spent(self) -> bool:
-        """Return whether it answers no more."""
-
-    def least(self, problem: Problem) -> Mapping[str, str]:
-        """Return a placement of least F, as far as that is found; empty: none is."""
 
 
 class Limit(NamedTuple):
@@ -120,7 +99,7 @@ def softened(problem: Problem, capacities: list[Limit]) -> Problem:
     for limit in capacities:
         (computer, resource) = limit.names
         share = next(
-            _share(h, resource) for h in problem.computers if h.name == computer
+            share_of(h, resource) for h in problem.computers if h.name == computer
         )
         others = {h.name: MOST for h in problem.computers if h.name != computer}
         price = _in_range(1 / usual(problem, limit) / share)
@@ -166,125 +145,6 @@ def price(problem: Problem, raises: Raises) -> float:
     if not raises or any(limit.advice for limit in raises):
         return inf
     return sum(more / usual(problem, limit) for limit, more in raises.items())
-
-
-class Relaxation:
-    """Looks for what must give way; `conflicts` names the limits that are broken."""
-
-    def __init__(
-        self,
-        oracle: Asks,
-        conflicts: Callable[[Problem], tuple[Problem, list[Limit], bool] | None],
-    ) -> None:
-        self._oracle = oracle
-        self._conflicts = conflicts
-
-    def find(self, problem: Problem, limits: list[Limit]) -> Raises:
-        """Return what has to give way, so that the whole problem holds; or nothing."""
-        whole = list(limits_of(problem))
-        limits = [next(k for k in whole if k.covers(limit)) for limit in limits]
-        ways: list[Raises] = [
-            {limit: self._at_most(problem, limit, limit.most)}
-            for limit in limits[:MOST_TRIES]
-            if limit.most > 0 and self._holds(problem, {limit: inf})
-        ]
-        one = min(ways, key=lambda way: price(problem, way), default=None)
-        several = self._capacities(problem) or self._several(problem, limits)
-        if one is None or price(problem, several) < SIMPLER * price(problem, one):
-            return several
-        return one
-
-    def _capacities(self, problem: Problem) -> Raises:
-        """Return the least rises of capacities that are enough, if any are."""
-        soft = [k for k in limits_of(problem) if k.kind == "capacity"]
-        if len(soft) > MOST_TRIES or len(problem.components) > MOST_TRIES:
-            return {}
-        placement = self._oracle.least(softened(problem, soft))
-        raises: dict[Limit, float] = {}
-        for limit in soft if placement else ():
-            computer, resource = limit.names
-            h = next(h for h in problem.computers if h.name == computer)
-            used = sum(
-                c.demand.get(resource, 0.0)
-                for c in problem.components
-                if placement[c.name] == computer
-            )
-            if not fits(used, usable := h.usable(resource)):
-                raises[limit] = (used - usable) / _share(h, resource)
-        for limit, enough in list(raises.items()):
-            others = {k: more for k, more in raises.items() if k is not limit}
-            raises[limit] = self._at_most(relaxed(problem, others), limit, enough)
-        return raises if self._holds(problem, raises) else {}
-
-    def _several(self, problem: Problem, limits: list[Limit]) -> Raises:
-        """Lift what is in conflict, over and over; then take back what was needless."""
-        chosen: list[Limit] = []
-        while not self._holds(problem, dict.fromkeys(chosen, inf)):
-            lifted = [limit for limit in limits if limit.most > 0] or limits[-1:]
-            if not lifted:
-                return {}
-            chosen += lifted
-            conflicts = self._conflicts(relaxed(problem, dict.fromkeys(chosen, inf)))
-            limits = [
-                limit
-                for limit in limits_of(problem)
-                if conflicts and any(limit.covers(other) for other in conflicts[1])
-                if limit not in chosen
-            ]
-        return self._with_less(problem, chosen)
-
-    def _with_less(self, problem: Problem, chosen: list[Limit]) -> Raises:
-        """Return a relaxation of some of these limits: none more than is needed."""
-        for limit in [k for k in chosen if k.advice]:
-            others = [other for other in chosen if other is not limit]
-            if self._holds(problem, dict.fromkeys(others, inf)):
-                chosen = others
-        lifts: Raises = dict.fromkeys((k for k in chosen if k.advice), inf)
-        soft = sorted((k for k in chosen if not k.advice), key=lambda k: k.names)
-        if not soft or self._holds(problem, lifts):
-            return lifts
-        # All alike first, in shares of what is usual; then one by one.
-        units = {k: usual(problem, k) for k in soft}
-        low, high = 0.0, max(k.most / unit for k, unit in units.items())
-        while high - low > NEAR * high:
-            share = (low + high) / 2
-            raises = {k: share * unit for k, unit in units.items()}
-            if self._holds(problem, {**raises, **lifts}):
-                high = share
-            else:
-                low = share
-        raises = {k: high * unit for k, unit in units.items()}
-        for limit in soft:
-            enough = raises.pop(limit)
-            rest = relaxed(problem, {**raises, **lifts})
-            raises[limit] = self._at_most(rest, limit, enough)
-        return {**{k: more for k, more in raises.items() if more > 0}, **lifts}
-
-    def _at_most(self, problem: Problem, limit: Limit, enough: float) -> float:
-        """Return as small a raise as is found, given one that is enough."""
-        if self._oracle.is_spent():
-            return enough
-        if self._holds(problem, {}):
-            return 0.0
-        low, high = 0.0, enough
-        while high - low > NEAR * high:
-            middle = (low + high) / 2
-            if self._holds(problem, {limit: middle}):
-                high = middle
-            elif self._oracle.is_spent():
-                return high
-            else:
-                low = middle
-        # The roundest number that is enough; one that is no less than `high` is.
-        for digits in (1, 2, 3):
-            step = 10.0 ** (floor(log10(high)) + 1 - digits)
-            rounded = ceil(low / step + 1e-9) * step
-            if rounded <= high and self._holds(problem, {limit: rounded}):
-                return rounded
-        return ceil(high / step - 1e-9) * step
-
-    def _holds(self, problem: Problem, raises: Raises) -> bool:
-        return self._oracle.ask(relaxed(problem, raises)) is True
 
 
 def usual(problem: Problem, limit: Limit) -> float:
@@ -348,12 +208,12 @@ def _exclusive(problem: Problem) -> Iterator[Limit]:
 
 
 def _capacity(h: Computer, resource: str, total: float) -> Limit:
-    has, share = h.capacity.get(resource, 0.0), _share(h, resource)
+    has, share = h.capacity.get(resource, 0.0), share_of(h, resource)
     usable = f" ({amount_of(resource, has * share)} usable)" if share != 1 else ""
     text = f"{h.name} has {amount_of(resource, has)} {resource}{usable}"
     return Limit("capacity", (h.name, resource), text, now=has, most=total / share)
 
 
-def _share(h: Computer, resource: str) -> float:
+def share_of(h: Computer, resource: str) -> float:
     """Return how much of a unit of capacity can be used."""
     return (h.speed if resource == "cpu" else 1.0) * (1 - h.reserve.get(resource, 0.0))
