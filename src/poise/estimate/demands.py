@@ -7,9 +7,9 @@ robot file win over measured ones, but for a state, a message or a rate of 0.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 
-import msgspec
+from msgspec.structs import replace
 
 from poise.estimate.online import Estimate
 from poise.estimate.profiles import (
@@ -52,7 +52,8 @@ def kinds_together(robot: Robot) -> dict[str, str]:
     """
     kinds = {str(connector): "local" for connector in robot.connectors}
     for architecture in robot.architectures:
-        alone = {c.name for c in architecture.components if _is_alone(c)}
+        components = architecture.components
+        alone = {c.name for c in components if c.isolated or c.command}
         for connector in architecture.connectors:
             ends = {end.component for end in connector.between}
             kinds[str(connector)] = "local" if ends & alone else "direct"
@@ -62,10 +63,6 @@ def kinds_together(robot: Robot) -> dict[str, str]:
 def declared(connector: Connector) -> ConnectorProfile:
     """Return the traffic in the robot file, which does not distinguish calls."""
     return ConnectorProfile(messages=connector.rate, size=connector.message)
-
-
-def _is_alone(component: ComponentEntry) -> bool:
-    return component.isolated or bool(component.command)
 
 
 CPU_HEADROOM = 0.05
@@ -97,28 +94,13 @@ def shifted_cpu_demand(
 def with_profile(robot: Robot, profile: Profile) -> Robot:
     """Return `robot` with measured demands and traffic where its file has none."""
     kinds = kinds_together(robot)
-
-    def filled(connectors: Iterable[Connector]) -> tuple[Connector, ...]:
-        return tuple(
-            _connector(connector, profile, kinds[str(connector)])
-            for connector in connectors
-        )
-
-    return msgspec.structs.replace(
-        robot,
-        architectures=tuple(
-            msgspec.structs.replace(
-                architecture,
-                components=tuple(
-                    _component(c, profile.components.get(c.name))
-                    for c in architecture.components
-                ),
-                connectors=filled(architecture.connectors),
-            )
-            for architecture in robot.architectures
-        ),
-        connectors=filled(robot.connectors),
-    )
+    robot = robot.with_connectors(lambda c: _connector(c, profile, kinds[str(c)]))
+    known = profile.components
+    architectures = []
+    for architecture in robot.architectures:
+        components = [_component(c, known.get(c.name)) for c in architecture.components]
+        architectures.append(replace(architecture, components=tuple(components)))
+    return replace(robot, architectures=tuple(architectures))
 
 
 def missing(robot: Robot, profile: Profile) -> list[str]:
@@ -137,7 +119,7 @@ def _component(
     if profile is None:
         return component
     measured = {"cpu": cpu_demand(profile), "memory": memory_demand(profile)}
-    return msgspec.structs.replace(
+    return replace(
         component,
         demand={**measured, **component.demand},
         state=component.state or profile.state,
@@ -148,11 +130,11 @@ def _connector(connector: Connector, profile: Profile, kind: str) -> Connector:
     """Return a connector with its traffic, and its overhead if costs were measured."""
     known = profile.connectors.get(str(connector), ConnectorProfile())
     rate, message = connector.rate or known.rate, connector.message or known.size
-    filled = msgspec.structs.replace(connector, message=message, rate=rate)
+    filled = replace(connector, message=message, rate=rate)
     if connector.overhead is not None or not profile.costs:
         return filled
     used = declared(filled)
     if (rate, message) == (known.rate, known.size):
         used = known
     overhead = overhead_of(used, kind, profile.costs)
-    return msgspec.structs.replace(filled, overhead=overhead)
+    return replace(filled, overhead=overhead)

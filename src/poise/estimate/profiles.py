@@ -9,9 +9,9 @@ from __future__ import annotations
 import contextlib
 import math
 import sqlite3
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Self
+from typing import Self, TypeVar
 
 import msgspec
 import yaml
@@ -19,6 +19,8 @@ from msgspec import Struct, structs
 
 from poise.decoding import convert, from_json
 from poise.errors import RobotError, UsageError, why_too_old
+
+AnyRecord = TypeVar("AnyRecord", bound=Struct)
 
 
 class SqliteFile:
@@ -138,16 +140,14 @@ def distribution_of(values: Sequence[float], window: float = WINDOW) -> Distribu
 
 def scaled(distribution: Distribution, factor: float) -> Distribution:
     """Return a distribution whose values are all `factor` times as large."""
-    error = distribution.error
-    return structs.replace(
-        distribution,
-        mean=distribution.mean * factor,
-        p95=distribution.p95 * factor,
-        p99=distribution.p99 * factor,
-        peak=distribution.peak * factor,
-        sustained=distribution.sustained * factor,
-        error=None if error is None else error * factor,
-    )
+    numbers = "mean", "p95", "p99", "peak", "sustained", "error"
+    return _multiplied(distribution, factor, numbers)
+
+
+def _multiplied(record: AnyRecord, factor: float, numbers: Iterable[str]) -> AnyRecord:
+    """Return a record of which some numbers are multiplied; None stays."""
+    values = {name: getattr(record, name) for name in numbers}
+    return structs.replace(record, **{n: v and v * factor for n, v in values.items()})
 
 
 def rolling_means(values: Sequence[float], size: int) -> list[float]:
@@ -350,39 +350,29 @@ class Profile(Struct, frozen=True, kw_only=True):
 def with_speed(profile: Profile, speed: float) -> Profile:
     """Return the profile of a real computer as it would be if that had this speed."""
     factor = speed / profile.speed
-    components = {n: _faster(c, factor) for n, c in profile.components.items()}
+
+    def handler(of: HandlerProfile) -> HandlerProfile:
+        return _multiplied(of, factor, ("mean", "median", "p99"))
+
+    components = {
+        name: structs.replace(
+            _multiplied(component, factor, ("share", "repeat")),
+            cpu=scaled(component.cpu, factor),
+            handlers={n: handler(of) for n, of in component.handlers.items()},
+        )
+        for name, component in profile.components.items()
+    }
     connectors = {
         name: structs.replace(
-            each, answering=each.answering and _quicker(each.answering, factor)
+            each, answering=each.answering and handler(each.answering)
         )
         for name, each in profile.connectors.items()
     }
     return structs.replace(
-        profile,
+        _multiplied(profile, factor, ("agent",)),
         speed=speed,
-        agent=profile.agent * factor,
         components=components,
         connectors=connectors,
-    )
-
-
-def _faster(component: ComponentProfile, factor: float) -> ComponentProfile:
-    handlers = {n: _quicker(h, factor) for n, h in component.handlers.items()}
-    return structs.replace(
-        component,
-        cpu=scaled(component.cpu, factor),
-        share=component.share * factor,
-        handlers=handlers,
-        repeat=component.repeat * factor,
-    )
-
-
-def _quicker(handler: HandlerProfile, factor: float) -> HandlerProfile:
-    return structs.replace(
-        handler,
-        mean=handler.mean * factor,
-        median=handler.median * factor,
-        p99=handler.p99 * factor,
     )
 
 
@@ -494,18 +484,16 @@ class Store(SqliteFile):
         return from_json(text, dict[str, KindCosts])
 
     def _add(self, robot: str, kind: str, measured: object) -> None:
+        text = msgspec.json.encode(measured).decode()
         self.execute(
             "INSERT INTO measurements (robot, kind, json) VALUES (?, ?, ?)",
-            robot,
-            kind,
-            msgspec.json.encode(measured).decode(),
+            *(robot, kind, text),
         )
 
     def _newest_first(self, robot: str, kind: str) -> Iterator[str]:
         rows = self.execute(
             "SELECT json FROM measurements WHERE robot = ? AND kind = ?"
             " ORDER BY id DESC",
-            robot,
-            kind,
+            *(robot, kind),
         )
         return (text for (text,) in rows)

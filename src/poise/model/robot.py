@@ -330,6 +330,18 @@ class Robot(Struct, frozen=True, kw_only=True):
                 architectures.append(replace(architecture, components=changed))
         return replace(self, architectures=tuple(architectures))
 
+    def with_connectors(self, change: Callable[[Connector], Connector]) -> Robot:
+        """Return the robot with every connector as `change` returns it."""
+        architectures = (
+            replace(a, connectors=tuple(map(change, a.connectors)))
+            for a in self.architectures
+        )
+        return replace(
+            self,
+            architectures=tuple(architectures),
+            connectors=tuple(map(change, self.connectors)),
+        )
+
     def demands(self, resource: str) -> dict[str, float]:
         """Return component -> its demand of a resource; 0 where it has none."""
         return {c.name: c.demand.get(resource, 0.0) for c in self.components()}

@@ -176,20 +176,12 @@ def with_bad_links(robot: Robot, bad: Sequence[LinkState]) -> Robot:
     }
     costs = [c.cost for c in robot.all_connectors() if c.cost > 0]
     least = min(costs, default=1.0)
-
-    def costly(connectors: Sequence[Connector]) -> tuple[Connector, ...]:
-        return tuple(c if c.cost else replace(c, overhead=least) for c in connectors)
-
-    return replace(
-        robot,
-        links=tuple(
-            replace(k, distance=distances.get(k.between, k.distance))
-            for k in robot.links
-        ),
-        connectors=costly(robot.connectors),
-        architectures=tuple(
-            replace(a, connectors=costly(a.connectors)) for a in robot.architectures
-        ),
+    links = (
+        replace(link, distance=distances.get(link.between, link.distance))
+        for link in robot.links
+    )
+    return replace(robot, links=tuple(links)).with_connectors(
+        lambda c: c if c.cost else replace(c, overhead=least)
     )
 
 
