@@ -61,7 +61,9 @@ class Suspensions:
         self.suspended_with_task: set[str] = set()
         """The architectures that stopped because their task lacks another function."""
 
-    def suspend(self, names: Iterable[str], why: str, now: float) -> bool:
+    def suspend(
+        self, names: Iterable[str], why: str, now: float, *, with_task: bool = False
+    ) -> bool:
         """Stop architectures, whose state is lost; return whether that went well."""
         live, names = self._live, tuple(names)
         components: dict[str, str] = {}
@@ -82,28 +84,18 @@ class Suspensions:
             components |= here
         committed = self._stop(components)
         if committed:
-            self.note_suspended(names, why, now)
+            self.note_suspended(names, why, now, with_task=with_task)
         return committed
 
-    def note_suspended(self, names: Iterable[str], why: str, now: float) -> None:
+    def note_suspended(
+        self, names: Iterable[str], why: str, now: float, *, with_task: bool = False
+    ) -> None:
         """Remember and say that architectures were stopped."""
         for name in names:
-            self._stay(name, now, first=FIRST)
+            self._stay(name, now, first=0.0 if with_task else FIRST)
             self._add(name, why)
-
-    def suspend_with_task(
-        self,
-        architectures: Iterable[Architecture],
-        components: Mapping[str, str],
-        why: str,
-        now: float,
-    ) -> None:
-        """Stop architectures until what their task lacks is back."""
-        if self._stop(components):
-            for architecture in architectures:
-                self.suspended_with_task.add(architecture.name)
-                self._stay(architecture.name, now, first=0.0)
-                self._add(architecture.name, why)
+            if with_task:
+                self.suspended_with_task.add(name)
 
     def note_resumed(self, names: Iterable[str], now: float) -> None:
         """Remember that architectures run again."""
@@ -328,21 +320,20 @@ class StopWithoutNeeded:
         there = situation.within_reach().placement
         tasks, functions = situation.stopped(situation.missing)
         stops = [
-            a
+            a.name
             for a in robot.whole(there)
-            if a.layer == "sequencing" and a.function in functions
+            if a.components and a.layer == "sequencing" and a.function in functions
         ]
         if not stops:
             return None
         self._again_at = now + _TRY_AGAIN
-        where = {c.name: there[c.name] for a in stops for c in a.components}
         why = lacking(tasks, situation.missing)
-        stop = self._suspensions.suspend_with_task
-        return Change(carry_out=partial(stop, stops, where, why, now))
+        stop = self._suspensions.suspend
+        return Change(carry_out=partial(stop, stops, why, now, with_task=True))
 
 
 class ResumeSuspended:
-    """Starts what fits again beside the running components, the highest priority first."""
+    """Starts what fits again beside the running components, by priority."""
 
     purpose = "start suspended architectures again"
 
@@ -353,17 +344,17 @@ class ResumeSuspended:
         self._try_again = _TRY_AGAIN
         self._lost: frozenset[str] = frozenset()
         self._doubtful: frozenset[str] = frozenset()
-        self._calm_since: float | None = None
+        self._wrong_at: float | None = None
 
     def respond(self, situation: Situation, _desired: Desired) -> Change | None:
         """Return what starts, when nothing has been wrong for a while."""
-        now, is_calm = situation.now, not situation.about("replan")
+        now = situation.now
         if situation.lost != self._lost:
             self._lost = situation.lost
             self._try_at, self._try_again = now, _TRY_AGAIN
-        if not is_calm or self._calm_since is None:
-            self._calm_since = now if is_calm else None
-        if self._calm_since is None or now - self._calm_since < CALM:
+        if situation.about("replan") or self._wrong_at is None:
+            self._wrong_at = now
+        if now - self._wrong_at < CALM:
             return None
         due = self._suspensions.due(now)
         if not due:
