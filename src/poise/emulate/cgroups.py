@@ -74,10 +74,7 @@ agent makes groups for containers."""
 
 
 class Groups:
-    """Makes groups without limits, where there are no cgroups.
-
-    `V1` and `V2` make groups with limits. Nothing here blocks.
-    """
+    """Makes groups without limits, where there are no cgroups. Nothing here blocks."""
 
     # which of ``cpu``, ``cpuset`` and ``memory`` its groups limit
     controls: frozenset[str] = frozenset()
@@ -118,10 +115,7 @@ class Groups:
 
 
 class Group:
-    """All processes of one emulated computer.
-
-    Without cgroups they are those that inherited the group's name as a mark.
-    """
+    """The processes of an emulated computer; without cgroups, those marked."""
 
     def __init__(self, name: str, homes: Mapping[str, Path], cpus: int) -> None:
         self._name = name

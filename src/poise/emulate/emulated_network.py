@@ -1,9 +1,7 @@
 """The network of emulated computers: its plan, and the namespaces that carry it out.
 
 Each computer has one virtual cable, ``eth0``, to a bridge in the switch's namespace.
-The owner's namespace has a cable too, unshaped, because it is no part of the robot.
-
-A cable ends with its namespace, so removing the namespaces removes everything.
+The owner's cable is unshaped, for it is no part of the robot. All ends with namespaces.
 """
 
 from __future__ import annotations
@@ -163,11 +161,7 @@ def wiring(network: NetworkPlan) -> list[tuple[str, list[str]]]:
 
 
 def shaping(network: NetworkPlan, *, delays: bool) -> list[tuple[str, list[str]]]:
-    """Return the `tc` commands as (namespace, commands).
-
-    Each link has a class of its own at both ends, where packets leave a computer. What
-    belongs to no link is not shaped.
-    """
+    """Return `tc` commands by namespace: a class for each link at both ends."""
     commands: dict[int, list[str]] = {}
     for one, other, link in network.links:
         for source, target in ((one, other), (other, one)):

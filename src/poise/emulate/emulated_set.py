@@ -1,8 +1,7 @@
 """The emulated computers of a robot that a process keeps, and faults to rehearse there.
 
-Any process of the user finds the set in the registry, and acts on its namespaces and
-processes itself: no word with the keeper is needed. The registry says which faults are
-in force.
+Any process of the user finds the set and the faults in force in the registry, and acts
+on its namespaces and processes itself.
 """
 
 from __future__ import annotations

@@ -18,10 +18,7 @@ PREFIX = "poise"
 
 
 class Owner(Struct, frozen=True):
-    """A process: its number and when it started [clock ticks since the machine booted].
-
-    Process numbers are reused, so the number alone does not identify the owner.
-    """
+    """A process: its number, used again later, and start [ticks since boot]."""
 
     pid: int
     started: int
@@ -65,10 +62,7 @@ def stop(processes: Callable[[], Sequence[int]], ask: float = ASK) -> None:
 
 
 def freeze(processes: Callable[[], Sequence[int]]) -> None:
-    """Stop all that `processes` returns, and what they start, until `thaw`.
-
-    RunError: they start others again and again; none is stopped.
-    """
+    """Stop `processes()` and what they start; RunError: there are more and more."""
     end = time.monotonic() + KILL
     frozen: set[int] = set()
     while new := set(processes()) - frozen:

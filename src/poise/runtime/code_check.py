@@ -1,8 +1,7 @@
 """Checks the code that a robot file names, and its fit to the file.
 
-It is imported in a child process, for that may end, crash or hang. The child names each
-component before it imports its code, so the parent knows which one ended it, and
-another child checks the others.
+A child process imports it, for that may end, crash or hang: it names each component
+before, so the parent knows which one ended it, and another child checks the others.
 """
 
 from __future__ import annotations
@@ -161,10 +160,7 @@ def code_of(entry: ComponentEntry, folder: str) -> ComponentCode:
 
 
 class _Uses:
-    """The ports that methods use, and how, with the methods that they call.
-
-    `callbacks`: the methods and functions that take the answers of calls they start.
-    """
+    """The ports that methods use, and how, and the `callbacks` that take answers."""
 
     def __init__(
         self,
@@ -355,10 +351,7 @@ def check_code_isolated(
     limit: float = IMPORT_LIMIT,
     meanwhile: Callable[[], object] = lambda: None,
 ) -> CheckedCode:
-    """Return `check_code`'s findings, and code that ends, crashes or hangs.
-
-    UsageError: a module that is imported for such a check asks for one.
-    """
+    """Return `check_code`'s findings, and code that ends, crashes or hangs."""
     if _CHILD in sys.orig_argv:
         raise UsageError(
             "a robot is loaded while its code is imported: guard scripts with `if "

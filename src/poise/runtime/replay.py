@@ -36,12 +36,7 @@ _SMALL = 100
 
 
 def maker(type_: Any) -> Maker:  # noqa: ANN401, any type of a message
-    """Return what makes messages of `type_`.
-
-    Numbers are random. One field that can be of any length, a text, bytes, an array or
-    a list, the first that there is, is as long as the size asks for; all others are
-    empty. A message without such a field has the size that it has.
-    """
+    """Return what makes messages of a type; one field is as long as they need."""
     size_of = codec(type_).size_of
 
     def make(rng: random.Random, size: float) -> Any:  # noqa: ANN401, of `type_`
@@ -158,24 +153,16 @@ Due = tuple[float, Callable[[], None]]
 
 
 class PlayedPort(Struct, frozen=True, kw_only=True):
-    """What one port of the player sends: sources of the recording, or generated.
+    """What one port of the player sends: sources of the recording, or generated."""
 
-    `type` is the message's, or the interface that is called, as
-    ``package.module:Class``.
-    """
-
-    type: str
+    type: str  # the message's or interface's, as ``package.module:Class``
     calls: bool = False
     sources: tuple[str, ...] = ()
     generated: Generated | None = None
 
 
 class Replay(Component):
-    """Publishes and calls as its parameters say.
-
-    These are ``ports`` (port -> `PlayedPort`) and ``recording``, a file.
-    A call waits for its answer, so what is due behind it may be late.
-    """
+    """Publishes and calls as its ``ports`` say, from the file ``recording``."""
 
     @classmethod
     def __poise_specialised__(

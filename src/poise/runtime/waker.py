@@ -49,10 +49,7 @@ class Waker:
 def wait_readable(
     fds: Iterable[int], limit: float | None, writing: Collection[int] = ()
 ) -> set[int]:
-    """Wait up to `limit` [s; None: for ever] and return the readable descriptors.
-
-    Of those in `writing`, also the writable ones.
-    """
+    """Wait up to `limit` [s; None: for ever]; return what can be read or written."""
     # not select(): it refuses descriptors of 1024 and more
     poll = select.poll()
     for fd in fds:

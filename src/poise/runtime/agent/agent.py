@@ -1,8 +1,7 @@
 """The agent: on each computer, the program that runs its containers.
 
-It owns sockets, files, signals and the zenoh session; `AgentCore` decides. Containers
-survive its crash, and the next agent in the same folder adopts them. One thread owns
-all of this; zenoh's threads only queue requests.
+One thread owns its sockets, files and signals; `AgentCore` decides. Containers survive
+its crash, and the next agent in the same folder adopts them.
 """
 
 from __future__ import annotations
@@ -369,10 +368,7 @@ class Agent:
                 supervised.attempt("zygote", self._hear_zygote)
 
     def _hear(self, link: ControlLink, *, to_the_end: bool = False) -> None:
-        """Tell the core what a container says: a record, or all that it has sent.
-
-        And send it more of what it had no room for.
-        """
+        """Send what is left to send; tell the core the next record, or all of them."""
         try:
             if not to_the_end:
                 link.flush()

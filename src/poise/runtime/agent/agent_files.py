@@ -1,7 +1,6 @@
 """Reads and writes the folder of an agent, on a thread of its own.
 
-A disk may not answer for seconds; the agent and its containers go on meanwhile. A
-thread sends changed checkpoints to the manager, so that they outlive the computer.
+A disk may not answer for seconds; the agent and its containers go on meanwhile.
 """
 
 from __future__ import annotations
@@ -242,14 +241,11 @@ _STOP_LIMIT = 2.0
 
 
 class AgentNote:
-    """Notes where a robot's agents are while it is at work, unless a manager does.
-
-    `keys`: the folder of keys to ask them with; empty: a person's own.
-    """
+    """Notes where a robot's agents are while it is at work, unless a manager does."""
 
     def __init__(self, robot: str, keys: str) -> None:
         self._robot = robot
-        self._keys = keys
+        self._keys = keys  # a folder to ask them with; empty: a person's own
         self._ours: AgentAddresses | None = None
         self._trouble = ""
 
@@ -277,10 +273,7 @@ class AgentNote:
 
 
 class DiskThread:
-    """The `AgentDisk` of a real computer.
-
-    `path`: the folder of its containers, which run as `account`.
-    """
+    """The `AgentDisk` of a real computer."""
 
     def __init__(
         self,
@@ -291,7 +284,7 @@ class DiskThread:
         note: AgentNote | None = None,
         account: Account | None = None,
     ) -> None:
-        self._path = path
+        self._path = path  # of its containers, which run as `account`
         self._account = account
         self._folder = folder
         self._note = note

@@ -19,10 +19,7 @@ def refusal(
     allowed: Sequence[str],
     there: Collection[str] = (),
 ) -> str:
-    """Return what of these containers is not allowed; empty: nothing.
-
-    `allowed`: as in `AgentSetup`; empty: everything is. `there`: versions of code.
-    """
+    """Return what is not `allowed`, as `AgentSetup.allow` says; empty: nothing."""
     for container in containers:
         if container.code and container.code not in there:
             return (

@@ -55,14 +55,11 @@ _NO_WHEEL = (
 
 
 class CodeFolder:
-    """Stores what is sent, one request at a time, on threads of its own.
-
-    `account`: the user who runs the code, but does not own it; None: this one.
-    """
+    """Stores what is sent, one request at a time, on threads of its own."""
 
     def __init__(self, folder: Path, account: Account | None = None) -> None:
         self._folder = folder
-        self._account = account
+        self._account = account  # it runs the code, but does not own it
         self._one_at_a_time = Lock()
         self._in_use: frozenset[str] = frozenset()
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -171,10 +168,7 @@ class CodeFolder:
         self._versions = self._look()
 
     def _wheels(self, manifest: Path) -> list[Path]:
-        """Return the wheels for this computer that were sent; RunError: some were not.
-
-        No manifest is no archive of code.
-        """
+        """Return the wheels for this computer; RunError: some were not sent."""
         try:
             wheels = from_json(manifest.read_bytes(), Manifest).wheels
         except (FileNotFoundError, *MALFORMED) as error:
@@ -221,10 +215,7 @@ def this_platform() -> str:
 
 
 def unpack(archive: Path, into: Path, left: int = MOST_CODE) -> int:
-    """Unpack an archive of plain files; return how much more may come [bytes].
-
-    Raises RunError when anything in it is no plain file below `into`.
-    """
+    """Unpack plain files, and RunError for others; return how much is left [bytes]."""
     try:
         with tarfile.open(archive, "r:") as tar:
             for member in tar:

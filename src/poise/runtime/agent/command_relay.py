@@ -1,7 +1,6 @@
 """Passes commands of other computers to the manager, where it runs beside the agent.
 
-A manager takes commands on its own computer only, on its control socket. Agents are
-reached from all computers, and ask who sends it for a certificate.
+A manager takes them on its own computer only; agents ask who sends for a certificate.
 """
 
 from __future__ import annotations
@@ -30,10 +29,7 @@ _MOST = 16
 
 
 class CommandRelay:
-    """Answers queries with what the manager says; empty: it does not run here.
-
-    `key`: that of the answers; `manager`: returns whom the agent obeys; on any thread.
-    """
+    """Answers queries with what the manager says; empty: it does not run here."""
 
     def __init__(self, key: str, manager: Callable[[], ManagerId | None]) -> None:
         self._key = key

@@ -1,7 +1,6 @@
 """What an agent decides. It reaches the world through its `Surroundings` alone.
 
-An error in one part of a tick, in one request or about one container is shown in the
-status and stops nothing else (`SupervisedParts`).
+An error in one part is shown, and stops nothing else (`SupervisedParts`).
 """
 
 from __future__ import annotations

@@ -20,12 +20,7 @@ from poise.wire.records.request_records import Claim, ManagerId, Refused, majori
 
 
 class Fence:
-    """The manager that claimed an agent last, while no later one succeeds it.
-
-    A later one has a higher fencing token, and succeeds when the earlier one's
-    liveliness token is gone, or to take over. What the earlier one still sends is
-    refused.
-    """
+    """The manager that claimed an agent last, until one with a higher token does."""
 
     def __init__(
         self,
@@ -170,10 +165,7 @@ class Lease:
         began: float | None = None,
         votes: Mapping[str, int] = {},
     ) -> None:
-        """Be claimed by a manager that knows these other agents, at a moment [s].
-
-        Where managers are voted for, a claim extends nothing.
-        """
+        """Be claimed by a manager that knows these other agents, at a moment [s]."""
         self._others, self._manager, self._votes = others, manager, votes
         self._began = began
 
@@ -249,10 +241,7 @@ class Lease:
         return False
 
     def _unheard(self, now: float) -> float:
-        """Return how long ago it sent what all other agents have heard [s].
-
-        Where managers are voted for, a majority is enough that obeys the same one.
-        """
+        """Return how long ago it sent what all, or most votes, have heard [s]."""
         if self._votes:
             acked = {
                 name: contact.acked

@@ -1,13 +1,10 @@
-"""An agent's heartbeats: to its manager and to the other agents of its robot.
+"""An agent's heartbeats: to its manager and to other agents, whose clocks they tell.
 
 A message leaves here at t0 and arrives there at t1; its answer leaves there at t2 and
 arrives here at t3: the four time stamps of NTP. The offset of the other clock is
 between t2 - t3 and t1 - t0, for any delays. Short round trips give tight bounds. Clocks
 drift, so older bounds widen with age. The offset is in the intersection of all bounds
 (Marzullo).
-
-They also tell how far the other computers' clocks are ahead: a heartbeat, and the next
-one of who heard it, make a round trip.
 """
 
 from __future__ import annotations
@@ -56,10 +53,7 @@ class ClockOffset:
     def add(
         self, sent: float, received: float, answered: float, returned: float
     ) -> None:
-        """Add a round trip [s]; inconsistent times are ignored.
-
-        `sent` and `returned` are on this computer's clock, the others on the other's.
-        """
+        """Add a round trip [s]; the two times between are the other clock's."""
         low, high = answered - returned, received - sent
         if low <= high and received <= answered:
             wide = DRIFT * sent
@@ -69,10 +63,7 @@ class ClockOffset:
             self._trips.append(high - low)
 
     def at(self, now: float) -> ClockStatus | None:
-        """Return what is known at `now` [s, on this clock]; None before any round trip.
-
-        When bounds contradict each other a clock was set: older bounds are dropped.
-        """
+        """Return what is known at `now` [s, this clock]; None before any trip."""
         wide = DRIFT * now
         while self._sent:  # heartbeats that overtook each other contradict all
             low, high = max(self._lows) - wide, min(self._highs) + wide
@@ -83,7 +74,7 @@ class ClockOffset:
                     at=now,
                     trip=min(self._trips),
                 )
-            self._forget_contradicted(wide)
+            self._forget_contradicted(wide)  # a clock was set
         return None
 
     def _forget_contradicted(self, wide: float) -> None:
@@ -160,10 +151,7 @@ class HeartbeatExchange:
             self._heartbeats.close()
 
     def resume(self, claim: Claim | None) -> None:
-        """Go on in the place of an agent that was killed.
-
-        What it kept may run elsewhere by now: see `note_lapsed`.
-        """
+        """Go on for an agent that was killed: what it kept may run elsewhere by now."""
         if claim is not None:
             # nobody has heard this one yet, and there is a lease's time for that
             self._grace_until = self._clock.now() + LEASE
@@ -263,11 +251,7 @@ class HeartbeatExchange:
         self._fence.note_told()
 
     def note_lapsed(self) -> None:
-        """Note that the lease ended while there was no agent here.
-
-        So leased components may run elsewhere by now: none is active here until the
-        manager sends a deployment.
-        """
+        """Note that what is leased may run elsewhere: it waits for a deployment."""
         if not self._is_alone:
             self._fence.lapse()
             self._extend(-inf)
@@ -299,10 +283,7 @@ class HeartbeatExchange:
             return self._contacts.qualities(self._clock.now())
 
     def _hear(self, received: Sequence[Received]) -> bool:
-        """Take in heartbeats; return whether to answer at once.
-
-        The manager is always answered: one wake-up serves for both.
-        """
+        """Take in heartbeats; return whether to answer at once."""
         with self._lock:
             answers = [self._answers(*arrival) for arrival in received]
         return any(answers)
@@ -320,7 +301,7 @@ class HeartbeatExchange:
         if sender == MANAGER:
             if now > self._token_gone + _LATE:
                 self._fence.note_alive(beat.key)
-            return True
+            return True  # one wake-up serves for both
         echo = beat.heard.get(self._computer)
         if echo is not None:
             if sender not in self._offsets:
@@ -396,11 +377,7 @@ class HeartbeatExchange:
         return self._lease.is_revoked(self._computer, self._fence.token)
 
     def _until(self, now: float, age: float | None = None) -> float:
-        """Return when leased components must stop [s]: they look themselves.
-
-        While there is no manager nothing is started elsewhere: then it is enough that
-        the agent runs.
-        """
+        """Return when leased components must stop [s]: they look themselves."""
         if self._heartbeats is None or self._is_alone:
             return inf
         if self._fence.is_cut_off:
@@ -411,4 +388,4 @@ class HeartbeatExchange:
             return -inf  # also a heartbeat that says so may extend it
         if self._votes or self._fence.is_managed() or now < self._grace_until:
             return self._lease.until(now, age)
-        return now + LEASE
+        return now + LEASE  # without a manager nothing starts elsewhere

@@ -27,15 +27,11 @@ _INT = 4
 
 
 class StandbyProcess:
-    """The `StandbyControl` of a real computer.
-
-    The process ends when the agent does, unless it leads. `keys`: the agent's, below
-    which are those to lead with; None: agents want none.
-    """
+    """The `StandbyControl` of a real computer; ends with the agent, unless it leads."""
 
     def __init__(self, computer: str, folder: Path, keys: Credentials | None) -> None:
         self._computer = computer
-        self._keys = keys
+        self._keys = keys  # the agent's, above those to lead with
         self._path = folder / "claim"
         self._kept: Claim | None = None
         self._failure = ""
@@ -73,10 +69,7 @@ class StandbyProcess:
             )
 
     def notice(self) -> str:
-        """Return why none can lead from here that was asked to; empty: it could.
-
-        Or why it soon cannot.
-        """
+        """Return why the one that waits cannot lead, or soon cannot; or nothing."""
         if self._failure or self._kept is None or self._keys is None:
             return self._failure
         if not self._has_keys():

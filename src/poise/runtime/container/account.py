@@ -68,10 +68,7 @@ class Account(Struct, frozen=True):
             return False
 
     def make_folder(self, folder: Path) -> None:
-        """Make a folder of this user's own, in one of root's that he can pass through.
-
-        UsageError: it is not root's, or he does not get there.
-        """
+        """Make his own folder in one of root's; UsageError: he does not get there."""
         if folder.parent.stat().st_uid:
             raise UsageError(
                 f"--run-as {self.name}: {folder.parent} must be root's: choose another "

@@ -1,8 +1,7 @@
 """A container's connection to its agent, made again after the agent was killed.
 
-Without an agent it works on and asks, at a socket in the folder of both, to be adopted:
-it hands over an end of a new connection and its stats page. After `ORPHAN_LIMIT` it
-ends.
+It works on, asks the next agent to adopt it at a socket in the folder of both, handing
+over a new connection and its stats page, and ends after `ORPHAN_LIMIT`.
 """
 
 from __future__ import annotations
@@ -83,10 +82,7 @@ class AgentLink:
         self._ask()
 
     def receive(self) -> ToContainer | None:
-        """Return what the agent tells; None: the rest is still to come, or it is gone.
-
-        Never waits: an agent may stand still amid a record.
-        """
+        """Return what the agent tells; None: not all is there, or it is gone."""
         if self._connection is None:
             return None
         try:

@@ -1,8 +1,7 @@
 """A container: the process in which components run.
 
 The control thread brings it to what its agent says should run (`ContainerSpec`), and
-reports its status at every change and once a second. It waits for no import and no
-component.
+waits for no import and no component.
 """
 
 from __future__ import annotations
@@ -479,11 +478,8 @@ class Container:
         self._server.close()
 
     def _wait_ended(self, running: list[Runner]) -> str:
-        """Wait until components have ended; return which had not in time, in words.
-
-        The hooks by which they end may take longer than a handler.
-        """
-        now = self._clock.now()
+        """Wait until components have ended; return which had not in time, in words."""
+        now = self._clock.now()  # hooks by which they end may take longer than handlers
         until = now + self._stop_limit
         hooks_until = now + (ENDING_LIMIT if self._stop_limit else 0.0)
         while running := [each for each in running if not each.wait_ended(0.0)]:

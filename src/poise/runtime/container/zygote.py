@@ -90,10 +90,7 @@ Event = Forked | NotForked | ContainerEnded
 def start(
     closing: Sequence[int] = (), account: Account | None = None
 ) -> tuple[socket.socket, int]:
-    """Fork the zygote; return the socket to it and its process id.
-
-    It and its containers run as `account`; None: as this process.
-    """
+    """Fork the zygote, for an account; return its socket and process id."""
     # one record is one packet, so neither end ever waits for the rest of one
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     # the zygote has nothing else to do than to wait for the agent

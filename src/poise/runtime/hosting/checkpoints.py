@@ -1,8 +1,7 @@
 """Checkpoints of a component: its state, kept now and then where a crash spares it.
 
-The component is asked for its snapshot between its handlers; after a crash of its
-container the next incarnation restores the file in the agent's folder. The last
-messages of ports that keep them are part of the state.
+It gives a snapshot between its handlers; after a crash of its container the next
+incarnation restores the file in the agent's folder.
 """
 
 from __future__ import annotations

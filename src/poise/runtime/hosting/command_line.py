@@ -212,10 +212,7 @@ def _check_first_line(path: str) -> None:
 
 
 def program(name: str, folder: str) -> str:
-    """Return the program's path; ``python`` is the one that Poise runs in.
-
-    ``ros2:package/executable`` is one of a package of ROS 2.
-    """
+    """Return the path of a program, of ``python`` or ``ros2:package/executable``."""
     if name in _PYTHON:
         return sys.executable
     if name.startswith("ros2:"):

@@ -1,7 +1,4 @@
-"""Classes that stand for components in C++, their messages and interfaces.
-
-They are ordinary ones, made by `poise/component.hpp`; the code of methods is native.
-"""
+"""Classes for components in C++ and their messages, made by `poise/component.hpp`."""
 
 from __future__ import annotations
 

@@ -68,10 +68,7 @@ class OutputFile:
         self._lost: dict[str, tuple[str, float]] = {}
 
     def add(self, text: str, component: str = "") -> None:
-        """Add a line, of the component that writes it unless another is named.
-
-        Standard error is told when it cannot be.
-        """
+        """Add a line, of the component that writes it unless another is named."""
         component = component or called() or getattr(_here, "component", "")
         component = component or self._container
         with self._lock:

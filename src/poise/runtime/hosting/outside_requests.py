@@ -293,10 +293,7 @@ def _converted(value: Packed, type_: Any, what: str) -> Any:  # noqa: ANN401, an
 
 
 def _unknown(given: object, taken: object) -> Iterator[str]:
-    """Yield what is said of fields that a message has not, also of those inside.
-
-    `taken`: what plain data was taken for, which may be one of several types.
-    """
+    """Yield what is said of given fields that what was taken has not."""
     pairs: Iterable[tuple[object, object]] = ()
     if isinstance(given, dict) and isinstance(taken, Struct):
         fields = {each.encode_name: each.name for each in structs.fields(taken)}

@@ -1,8 +1,7 @@
 """Runs one component on a thread of its own.
 
-The thread compares the goal with the state and takes the next step (`LifeCycle`).
-Timers and messages run on it; calls from others run on theirs, under the component's
-exclusion. `ExecutionGate` pauses both.
+The thread takes the steps to the goal (`LifeCycle`), and runs timers and messages;
+calls run on others' threads, in the component's exclusion. `ExecutionGate` pauses both.
 """
 
 from __future__ import annotations
@@ -167,10 +166,7 @@ class Runner:
         self.endpoints.mailbox.wake()
 
     def note_spec(self, spec: ComponentSpec) -> None:
-        """Take in what its deployment says now: another action, other parameters.
-
-        They are taken once it is active.
-        """
+        """Take in an action and parameters, which are taken once it is active."""
         self._action = spec
 
     def hand_parameters(self, values: Mapping[str, Any]) -> None:
@@ -190,10 +186,7 @@ class Runner:
         return f"component '{name}' did not end in time{runs}"
 
     def ends_since(self) -> float | None:
-        """Return since when `deactivate` or `cleanup` runs, or is next [s].
-
-        None: other code runs.
-        """
+        """Return since when a hook that ends it runs, or is next [s], or None."""
         hook, since = self._hook or ("", self.clock.now())
         is_next = not hook and self.life_cycle.state == "inactive"
         return since if is_next or hook in {"deactivate", "cleanup"} else None
@@ -368,10 +361,7 @@ class Runner:
             self.bad_end = f"'{hook}' of component '{self.spec.name}' raised {raised}"
 
     def _pause(self) -> bool:
-        """Pause before it is deactivated, once nobody is inside, unless it ends.
-
-        False: it is to go on after all, or it has failed.
-        """
+        """Pause before it is deactivated; False: it goes on, or has failed."""
         until = self.clock.now() + _BUSY_LIMIT
         while not self.gate.is_paused and self.life_cycle.goal != "active":
             try:
@@ -472,10 +462,7 @@ class Runner:
         return bool(self._watchers) and self.life_cycle.is_at_work
 
     def note_inputs(self, joined: Mapping[str, bool]) -> bool:
-        """Take in which subscribed ports have a source; return whether to look soon.
-
-        For the container's thread, while it `watches_inputs`.
-        """
+        """Take in which subscribed ports have a source; return whether to look soon."""
         now = self.clock.now()
         if self._inputs is None:
             self._inputs = InputWatch({port for _, port in self._watchers}, now)

@@ -159,10 +159,7 @@ class Wiring:
     def joined_inputs(
         self, component: str, epoch: int, silent: AbstractSet[str]
     ) -> dict[str, bool]:
-        """Return subscribed port -> whether somebody is there who publishes to it.
-
-        `silent`: the computers that are not heard.
-        """
+        """Return subscribed port -> whether one not on a `silent` computer sends."""
         joined: dict[str, bool] = {}
         for opened in self.open_connectors():
             spec = opened.spec

@@ -28,10 +28,7 @@ _BUSY = -1
 
 
 class AdoptedContainers:
-    """Waits for the containers of an earlier agent, found by their sockets.
-
-    They run as `account`; None: as this process.
-    """
+    """Waits for the containers of an earlier agent, found by their sockets."""
 
     def __init__(
         self, folder: Path, clock: Clock, account: Account | None = None
@@ -105,10 +102,7 @@ class AdoptedContainers:
             yield pid
 
     def give_up(self) -> None:
-        """Kill the containers that did not ask in time; they end soon.
-
-        One that is too busy to say who it is ends when it asks.
-        """
+        """Kill the containers that did not ask in time; they end soon."""
         if self._clock.now() < self.moment():
             return
         self._until = float("inf")
@@ -117,7 +111,7 @@ class AdoptedContainers:
                 log.warning("process %d of an earlier agent does not respond", pid)
                 with contextlib.suppress(ProcessLookupError):
                     signal.pidfd_send_signal(file, signal.SIGKILL)
-        self._forget(_BUSY)
+        self._forget(_BUSY)  # it ends when it asks
 
     def close(self) -> None:
         """Kill what was not adopted, and adopt no more."""

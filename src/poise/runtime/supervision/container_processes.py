@@ -249,10 +249,7 @@ class _Pending(Struct, frozen=True):
 
 
 class PendingRequests:
-    """What one agent's containers were asked and have not answered yet.
-
-    Steps of migrations, taps, and calls and messages from outside.
-    """
+    """Steps, taps, calls and messages that containers have not answered yet."""
 
     def __init__(
         self,

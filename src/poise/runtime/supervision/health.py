@@ -68,14 +68,11 @@ class HealthRecords:
         self._of: dict[str, ContainerHealth] = {}
 
     def note_start(self, container: str) -> None:
-        """Record that a container is started; after a fault that is a restart.
-
-        One that was stopped begins anew: earlier faults are another session's, say.
-        """
+        """Record that a container is started; after a fault that is a restart."""
         known = self._of.get(container)
         if known and known.state == "restarting" and known.reason:
             return  # there is no process yet
-        if known and known.state == "stopped":
+        if known and known.state == "stopped":  # its faults are of another session
             del self._of[container]
             known = None
         restarts = known.restarts if known else 0
