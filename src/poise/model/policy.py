@@ -27,7 +27,7 @@ from poise.model.file_keys import (
     says,
     written,
 )
-from poise.model.yaml_tree import Node, parse
+from poise.model.yaml_tree import parse
 from poise.model.yaml_validation import validate
 
 Subject: TypeAlias = Literal[
@@ -39,14 +39,18 @@ ComponentState: TypeAlias = Literal[
 ContainerState: TypeAlias = Literal[
     "starting", "running", "unresponsive", "restarting", "stopped"
 ]
-_NAME = says("Its name.")
 _COMPUTER = says("The computer on which it runs.")
 
 
-class ComputerValues(Struct, frozen=True, kw_only=True):
+class Values(Struct, frozen=True, kw_only=True):
+    """The values of a subject, as conditions name them."""
+
+    name: Annotated[str, says("Its name.")]
+
+
+class ComputerValues(Values, frozen=True, kw_only=True):
     """A computer over the last half second."""
 
-    name: Annotated[str, _NAME]
     lost: Annotated[bool, says("Whether it is out of reach.")] = False
     capacity: Annotated[Cores, says("The CPU that it has.")] = 0.0
     used: Annotated[Cores, says("CPU use of all programs.")] = 0.0
@@ -71,7 +75,7 @@ class ComputerValues(Struct, frozen=True, kw_only=True):
     components: Annotated[int, says("Components that are placed there.")] = 0
 
 
-class LinkValues(Struct, frozen=True, kw_only=True):
+class LinkValues(Values, frozen=True, kw_only=True):
     """A link between two computers, in both directions together."""
 
     name: Annotated[str, says("Its computers, as in main-vision.")]
@@ -88,10 +92,9 @@ class LinkValues(Struct, frozen=True, kw_only=True):
     ] = False
 
 
-class ComponentValues(Struct, frozen=True, kw_only=True):
+class ComponentValues(Values, frozen=True, kw_only=True):
     """A component and its present demand."""
 
-    name: Annotated[str, _NAME]
     computer: Annotated[str, _COMPUTER]
     architecture: Annotated[str, says("Its architecture.")]
     priority: Annotated[int, says("Its architecture's priority.")] = 0
@@ -109,10 +112,9 @@ class ComponentValues(Struct, frozen=True, kw_only=True):
     memory: Annotated[Bytes, says("Memory use of its container.")] = 0.0
 
 
-class ContainerValues(Struct, frozen=True, kw_only=True):
+class ContainerValues(Values, frozen=True, kw_only=True):
     """A container: the process of an architecture's components on a computer."""
 
-    name: Annotated[str, _NAME]
     computer: Annotated[str, _COMPUTER]
     state: Annotated[ContainerState, says("As its agent sees it.")]
     reason: Annotated[str, says("Why it does not respond or cannot be started.")] = ""
@@ -135,7 +137,7 @@ class ContainerValues(Struct, frozen=True, kw_only=True):
     ] = 0.0
 
 
-class TimerValues(Struct, frozen=True, kw_only=True):
+class TimerValues(Values, frozen=True, kw_only=True):
     """A timer with a deadline, over the last second or two periods."""
 
     name: Annotated[str, says("Component and timer, as in localiser.update.")]
@@ -153,10 +155,9 @@ class TimerValues(Struct, frozen=True, kw_only=True):
     ] = False
 
 
-class ChainValues(Struct, frozen=True, kw_only=True):
+class ChainValues(Values, frozen=True, kw_only=True):
     """A chain: how old its data was when it was used, over a second or two uses."""
 
-    name: Annotated[str, _NAME]
     component: Annotated[str, says("The last one, which uses the data.")]
     computer: Annotated[str, says("Where the data takes longest on its way.")]
     age: Annotated[Seconds, says("The mean age of the data when it was used.")] = 0.0
@@ -172,25 +173,15 @@ class ChainValues(Struct, frozen=True, kw_only=True):
     steps: Annotated[str, says("How long data takes to each next component.")] = ""
 
 
-class RobotValues(Struct, frozen=True, kw_only=True):
+class RobotValues(Values, frozen=True, kw_only=True):
     """The whole robot."""
 
-    name: Annotated[str, _NAME]
     lost: Annotated[int, says("Computers that are out of reach.")] = 0
     late: Annotated[int, says("Timers that do not keep their rate.")] = 0
     used: Annotated[Cores, says("CPU use of all its computers.")] = 0.0
     calls: Annotated[Rate, says("Calls and messages over all connectors.")] = 0.0
 
 
-Values: TypeAlias = (
-    ComputerValues
-    | LinkValues
-    | ComponentValues
-    | ContainerValues
-    | TimerValues
-    | ChainValues
-    | RobotValues
-)
 SUBJECTS: Mapping[Subject, type[Values]] = {
     "computer": ComputerValues,
     "link": LinkValues,
@@ -348,10 +339,6 @@ class PolicyAction(Struct, frozen=True, kw_only=True):
 FILE = Path(__file__).with_name("shipped_policies.yaml")
 
 
-class _Shipped(Struct, frozen=True):
-    policies: Annotated[tuple[Policy, ...], POLICIES, says("Poise's own policies.")]
-
-
 @cache
 def shipped() -> tuple[Policy, ...]:
     """Return the policies that Poise ships; a broken file is a bug of Poise."""
@@ -359,10 +346,10 @@ def shipped() -> tuple[Policy, ...]:
     text = FILE.read_text(encoding="utf-8")
     root = parse(text, str(FILE), problems)
     if root is not None:
-        top = Node(root.place, {"policies": root})
-        valid = validate(top, msgspec.inspect.type_info(_Shipped), problems)
+        kind = msgspec.inspect.type_info(Annotated[tuple[Policy, ...], POLICIES])
+        valid = validate(root, kind, problems)
         if not problems:
-            return convert(valid, _Shipped).policies
+            return convert(valid, tuple[Policy, ...])
     raise RobotError(problems=problems)
 
 
