@@ -34,6 +34,12 @@ class Mount(Struct, frozen=True):
     own: Path
     controllers: frozenset[str]
 
+    @property
+    def groups(self) -> Sequence[Path]:
+        """The groups whose limits hold: that of this process, and those above."""
+        above = [p for p in self.own.parents if p.is_relative_to(self.top)]
+        return (self.own, *above)
+
 
 def mounts(
     mountinfo: Path = Path("/proc/self/mountinfo"),
@@ -42,7 +48,20 @@ def mounts(
     """Return the cgroup hierarchies that are mounted, as proc(5) describes them."""
     entries = [line.split(":", 2) for line in cgroup.read_text().splitlines()]
     paths = {frozenset(names.split(",")): path for _, names, path in entries}
-    return list(_mounts(mountinfo.read_text().splitlines(), paths))
+    found = []
+    for line in mountinfo.read_text().splitlines():
+        before, _, after = line.partition(" - ")
+        kind, _, options = after.split(" ", 2)
+        root, top = before.split()[3], Path(before.split()[4])
+        if kind == "cgroup2":
+            own = _below(top, root, paths.get(frozenset([""]), "/"))
+            names = _words(own / "cgroup.controllers")
+            found.append(Mount(2, top, own, names))
+        elif kind == "cgroup":
+            names = frozenset(options.split(","))
+            mine = next((path for key, path in paths.items() if key <= names), "/")
+            found.append(Mount(1, top, _below(top, root, mine), names))
+    return found
 
 
 def memory_group(proc: Path = Path("/proc")) -> Mount | None:
@@ -52,21 +71,6 @@ def memory_group(proc: Path = Path("/proc")) -> Mount | None:
         found = mounts(proc / "self/mountinfo", proc / "self/cgroup")
     files = ("memory.events", "memory.oom_control")
     return next((m for m in found if any((m.own / f).exists() for f in files)), None)
-
-
-def _mounts(lines: Sequence[str], paths: dict[frozenset[str], str]) -> Iterator[Mount]:
-    for line in lines:
-        before, _, after = line.partition(" - ")
-        kind, _, options = after.split(" ", 2)
-        root, top = before.split()[3], Path(before.split()[4])
-        if kind == "cgroup2":
-            own = _below(top, root, paths.get(frozenset([""]), "/"))
-            names = _words(own / "cgroup.controllers")
-            yield Mount(2, top, own, names)
-        elif kind == "cgroup":
-            names = frozenset(options.split(","))
-            mine = [path for key, path in paths.items() if key <= names]
-            yield Mount(1, top, _below(top, root, mine[0] if mine else "/"), names)
 
 
 def _below(top: Path, root: str, path: str) -> Path:
@@ -258,10 +262,7 @@ class ComputerMemory:
     def __init__(self, proc: Path = Path("/proc")) -> None:
         self._meminfo = proc / "meminfo"
         mount = memory_group(proc)
-        self._groups: tuple[Path, ...] = ()
-        if mount is not None:
-            above = [p for p in mount.own.parents if p.is_relative_to(mount.top)]
-            self._groups = (mount.own, *above)
+        self._groups = mount.groups if mount is not None else ()
 
     def read(self) -> MemoryRoom | None:
         """Return the nearest limit; None when nothing is known."""
@@ -293,8 +294,7 @@ def cores_of_computer(proc: Path = Path("/proc")) -> float:
     found = [float(len(os.sched_getaffinity(0)))]
     with contextlib.suppress(OSError):
         for mount in mounts(proc / "self/mountinfo", proc / "self/cgroup"):
-            above = [p for p in mount.own.parents if p.is_relative_to(mount.top)]
-            found += [_quota(group) for group in (mount.own, *above)]
+            found += map(_quota, mount.groups)
     return min(found)
 
 

@@ -10,8 +10,8 @@ import contextlib
 import os
 import resource
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 
 _usual = os.getpriority(os.PRIO_PROCESS, 0)
 _AHEAD, _LAST = -10, 19
@@ -59,28 +59,19 @@ def goes_first() -> bool:
     return nice <= _usual + _AHEAD or os.sched_getscheduler(0) != os.SCHED_OTHER
 
 
-@contextmanager
-def going_first() -> Iterator[None]:
+def going_first() -> AbstractContextManager[None]:
     """Let this thread go first for a while."""
-    with _as_before():
-        go_first()
-        yield
+    return _for_a_while(go_first)
 
 
-@contextmanager
-def before_components() -> Iterator[None]:
+def before_components() -> AbstractContextManager[None]:
     """Let this thread go before components for a while; for users' code, too."""
-    with _as_before():
-        _set_nice(_usual + _AHEAD)
-        yield
+    return _for_a_while(lambda: _set_nice(_usual + _AHEAD))
 
 
-@contextmanager
-def as_usual() -> Iterator[None]:
+def as_usual() -> AbstractContextManager[None]:
     """Let a thread that goes first, and those that it starts, be as all others."""
-    with _as_before():
-        _set_nice(_usual)
-        yield
+    return _for_a_while(lambda: _set_nice(_usual))
 
 
 def give_way() -> None:
@@ -92,11 +83,12 @@ def give_way() -> None:
 
 
 @contextmanager
-def _as_before() -> Iterator[None]:
-    """Put back at the end what this thread is now."""
+def _for_a_while(change: Callable[[], object]) -> Iterator[None]:
+    """Change the priority of this thread, and put it back at the end."""
     policy, param = os.sched_getscheduler(0), os.sched_getparam(0)
     nice = os.getpriority(os.PRIO_PROCESS, threading.get_native_id())
     try:
+        change()
         yield
     finally:
         _set_nice(nice)

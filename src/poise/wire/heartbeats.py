@@ -197,7 +197,7 @@ class Contacts:
         ]
 
     def unanswered_since(self, name: str) -> float:
-        """Return when the first own heartbeat went out that it has not heard; or inf."""
+        """Return when the first own heartbeat went out that it lacks [s]; else inf."""
         contact = self._contacts.get(name)
         acked = contact.acked if contact is not None else None
         first = float("inf")
