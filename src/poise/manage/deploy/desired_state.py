@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import secrets
 import threading
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 
 from msgspec import structs
@@ -20,7 +20,7 @@ from poise.manage.deploy.deployment_layout import DeploymentLayout
 from poise.manage.deploy.desired import Desired, Incarnation, OtherCode, difference
 from poise.manage.deploy.reconciler import JoiningComputer, Reconciler
 from poise.manage.journal import Journal
-from poise.manage.observe.deviations import Deviation
+from poise.manage.observe.deviations import Deviation, last_numbers
 from poise.manage.observe.troubles import ManagerParts
 from poise.model.check.allowed_computers import allowed_computers
 from poise.model.robot import Robot
@@ -49,6 +49,9 @@ class DesiredState:
             robot, folder, weigh=weigh, code_version=version_of
         )
         self.clock = clock or SystemClock()
+        self.faults_before = last_numbers(agents.statuses())
+        self.check: Callable[[], object] = lambda: None
+        """Called at all news while agents are waited for; may raise to end that."""
         self.is_over = threading.Event()
         self._epochs: dict[str, int] = {}
         self._last_epoch = -1
@@ -100,10 +103,7 @@ class DesiredState:
         return self.desired.placement()
 
     def begin_with(self, tasks: bytes) -> None:
-        """Let the first commit say the tasks: this manager may be killed right after.
-
-        `tasks`: as in `Desired`.
-        """
+        """Let the first commit say the tasks: this manager may be killed then."""
         self.desired = structs.replace(self.desired, tasks=tasks)
 
     def commit(self, desired: Desired, why: str, *, tell_later: bool = False) -> None:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from functools import cached_property
 from math import inf
 
 from msgspec import structs
 
-from poise.clock import Clock, wall_time
+from poise.clock import wall_time
 from poise.errors import RunError
-from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.statuses import (
     components_of,
     containers_left,
@@ -22,7 +22,6 @@ from poise.manage.agent_connections.statuses import (
 )
 from poise.manage.deploy.desired import Desired, Incarnation
 from poise.manage.deploy.desired_state import DesiredState
-from poise.manage.journal import Journal
 from poise.manage.observe.deviations import (
     Numbers,
     combined,
@@ -30,7 +29,6 @@ from poise.manage.observe.deviations import (
     last_numbers,
 )
 from poise.manage.tasks.task_reports import Switches
-from poise.model.robot import Robot
 from poise.units import counted
 from poise.wire.heartbeats import LEASES_END_WITHIN
 from poise.wire.records.deployment_records import Goal
@@ -69,39 +67,26 @@ class NotReady(RunError):
 
 
 class LiveRobot(DesiredState):
-    """The robot as it is at work, and as it should be; parameters as for its base."""
+    """The robot as it is at work, and as it should be."""
 
-    def __init__(
-        self,
-        robot: Robot,
-        placement: Mapping[str, str],
-        agents: Agents,
-        journal: Journal,
-        folder: str,
-        *,
-        weigh: bool = False,
-        clock: Clock | None = None,
-    ) -> None:
-        super().__init__(
-            robot, placement, agents, journal, folder, weigh=weigh, clock=clock
-        )
-        self.switches = Switches()
-        self.check: Callable[[], object] = lambda: None
-        """Called at all news while agents are waited for; may raise to end that."""
-        self.faults_before = last_numbers(agents.statuses())
-        self._faults_before_commit = self.faults_before
-        self.remaining = ""
-        """What still runs after a stop, in words."""
-        self.has_taken_over = False
-        """Whether it was at work under another manager before."""
-        self.solve_steps: int | None = None
-        """How much the planner searches, so that a simulation can be repeated; None: as
-        its time allows."""
-        self.learns = True
-        """Whether how actions end is kept for later choices: not what is simulated."""
-        self.goes_on_without_lost = False
-        """Whether a lost computer is a deviation; else it ends what waits."""
-        self._away_since: dict[str, float] = {}
+    remaining = ""
+    """What still runs after a stop, in words."""
+    has_taken_over = False
+    """Whether it was at work under another manager before."""
+    solve_steps: int | None = None
+    """How much the planner searches, so that a simulation can be repeated; None: as
+    its time allows."""
+    learns = True
+    """Whether how actions end is kept for later choices: not what is simulated."""
+    goes_on_without_lost = False
+    """Whether a lost computer is a deviation; else it ends what waits."""
+    _away_since: Mapping[str, float] = {}
+    _faults_before_commit: Mapping[str, int] = {}
+
+    @cached_property
+    def switches(self) -> Switches:
+        """How the actions of tasks were switched."""
+        return Switches()
 
     def commit(self, desired: Desired, why: str, *, tell_later: bool = False) -> None:
         """Let something else run from now on; faults after that explain a wait."""
@@ -216,13 +201,9 @@ class LiveRobot(DesiredState):
             if now - since > 2 * _REPORTS_WITHIN
             and ages.get(name, inf) < _REPORTS_WITHIN
         }
+        placement = {} if is_brief else self.placement()
         said = unreached(
-            out_of_reach,
-            {} if is_brief else self.placement(),
-            heard,
-            heard_by,
-            reporting,
-            self.layout.leased,
+            out_of_reach, placement, heard, heard_by, reporting, self.layout.leased
         )
         return {
             name: "; ".join(filter(None, (what, self.agents.other_agent(name))))
@@ -240,15 +221,13 @@ class LiveRobot(DesiredState):
 
         def has_ended() -> bool:
             self.reconcile()
-            return not self._running()
+            return not containers_left(self.current(), self.computers())
 
         if not self.agents.wait_news(has_ended, STOP_LIMIT):
             refusals = map(self.reconciler.refusal, sorted(self.computers()))
-            text = "; ".join(filter(None, refusals)) or (
-                f"{', '.join(self._running())} still ran {STOP_LIMIT:g} s after "
-                "the stop"
-            )
-            raise RunError(text)
+            left = ", ".join(containers_left(self.current(), self.computers()))
+            text = f"{left} still ran {STOP_LIMIT:g} s after the stop"
+            raise RunError("; ".join(filter(None, refusals)) or text)
 
     def reach(self, goal: Goal, limit: float) -> None:
         """Bring every component to a goal within `limit` [s]; `start` says the rest."""
@@ -420,24 +399,14 @@ class LiveRobot(DesiredState):
                 unreached[str(connector)] = "; ".join(stuck)
         return unreached
 
-    def _involved(self, wanted: Iterable[Incarnation]) -> set[str]:
+    def _involved(self, wanted: Collection[Incarnation]) -> set[str]:
         """Return the computers of incarnations, and of what is joined to them."""
-        wanted = tuple(wanted)
         names = {incarnation.component for incarnation in wanted}
         where = self.placement()
-        peers = {
-            where[end.component]
-            for connector in self.layout.connectors(where.keys() | names)
-            if not names.isdisjoint(end.component for end in connector.between)
-            for end in connector.between
-            if end.component in where
-        }
-        sources = {where[name] for name in names & where.keys()}
-        return peers | sources | {incarnation.computer for incarnation in wanted}
-
-    def _running(self) -> list[str]:
-        """Return the containers that still run, for all that is known."""
-        return containers_left(self.current(), self.computers())
+        joined = self.layout.connectors_at(names, where.keys() | names)
+        names |= {end.component for connector in joined for end in connector.between}
+        there = {where[name] for name in names & where.keys()}
+        return there | {incarnation.computer for incarnation in wanted}
 
     def note_refused(self) -> None:
         """Journal why records of agents were refused."""
@@ -455,11 +424,9 @@ class LiveRobot(DesiredState):
 
     def _raise_on_trouble(self) -> bool:
         self.poll()
-        wanted = (*self.desired.placed.values(), *self.desired.coming)
-        judged = {incarnation.key for incarnation in wanted}
+        wanted = {i.key for i in (*self.placed.values(), *self.desired.coming)}
         for computer, component in located(self.agents.statuses()):
-            is_judged = component.key in judged
-            if component.state == "failed" and is_judged:
+            if component.state == "failed" and component.key in wanted:
                 why = DoesNotStart(component.name, component.error, f" on '{computer}'")
                 self.journal.note("failed", str(why).partition(":\n")[0])
                 raise why
@@ -485,9 +452,8 @@ class LiveRobot(DesiredState):
             if incarnation.computer in unreached:
                 raise RunError(unreached[incarnation.computer])
 
-    def _raise_on_refusal(self, incarnations: Iterable[Incarnation]) -> None:
+    def _raise_on_refusal(self, incarnations: Collection[Incarnation]) -> None:
         """Raise RunError when an agent refuses what should run there, or it is held."""
-        incarnations = tuple(incarnations)
         for incarnation in incarnations:
             name = incarnation.component
             if incarnation.goal == "active" and name in self.desired.held:
@@ -512,10 +478,10 @@ class LiveRobot(DesiredState):
             if not is_there and len(same := faults.get(place, ())) >= _CRASHES:
                 raise DoesNotStart(incarnation.component, "; ".join(combined(same)))
 
-    def raise_on_lost(self, patience: float = 0.0) -> bool:
+    def raise_on_lost(self, patience: float = 0.0) -> None:
         """Raise RunError when one is away for `patience` [s], while all are needed."""
         if self.goes_on_without_lost:
-            return False
+            return
         now, before, sentences = self.clock.now(), self._away_since, self.unreached()
         self._away_since = {name: before.get(name, now) for name in sentences}
         for computer, sentence in sentences.items():
@@ -525,4 +491,3 @@ class LiveRobot(DesiredState):
                 raise RunError(sentence)
         for computer in before.keys() - sentences.keys():
             self.journal.note("right", f"computer '{computer}' is reached again")
-        return False
