@@ -73,9 +73,7 @@ class Elapsed(Struct, frozen=True):
 def time_asleep() -> float:
     """Return for how long the computer has been suspended since it started [s]."""
     # a pause between two readings makes it seem less, never more
-    return max(
-        [time.clock_gettime(time.CLOCK_BOOTTIME) - time.monotonic() for _ in range(2)]
-    )
+    return max([boot_time() - time.monotonic() for _ in range(2)])
 
 
 class Clock(Protocol):

@@ -103,8 +103,7 @@ class Bench(Generic[C]):
         UsageError
             It has no such port.
         """
-        if port not in self._named("subscribes"):
-            raise UsageError(self._no_port(port, "subscribes"))
+        self._check_is_one(port, "subscribes")
         self._came[port] = self.clock.now()
         getattr(self.component, self._ports[port].handler)(message)
 
@@ -137,8 +136,7 @@ class Bench(Generic[C]):
         self.component.cleanup()
 
     def _happen(self, event: InputEvent, port: str) -> None:
-        if port not in self._named("subscribes"):
-            raise UsageError(self._no_port(port, "subscribes"))
+        self._check_is_one(port, "subscribes")
         for name in self._watchers.get((event, port), ()):
             getattr(self.component, name)()
 
@@ -149,12 +147,10 @@ class Bench(Generic[C]):
             setattr(
                 self.component, name, Published(kept.append, self._ports[name].type)
             )
-        wanted = self._named("requires")
         for name, other in required.items():
-            if name not in wanted:
-                raise UsageError(self._no_port(name, "requires"))
+            self._check_is_one(name, "requires")
             setattr(self.component, name, other)
-        missing = [name for name in wanted if name not in required]
+        missing = [name for name in self._named("requires") if name not in required]
         if missing:
             raise UsageError(
                 f"{self.component.name} requires {', '.join(missing)}: give the bench "
@@ -164,13 +160,15 @@ class Bench(Generic[C]):
     def _named(self, kind: str) -> list[str]:
         return [name for name, port in self._ports.items() if port.kind == kind]
 
-    def _no_port(self, name: str, kind: str) -> str:
-        known = ", ".join(self._named(kind)) or "nothing"
-        return f"{self.component.name} {kind} no '{name}', but {known}"
+    def _check_is_one(self, name: str, kind: str) -> None:
+        """Raise UsageError when the component has no such port of a kind."""
+        ports = self._named(kind)
+        if name not in ports:
+            known = ", ".join(ports) or "nothing"
+            raise UsageError(f"{self.component.name} {kind} no '{name}', but {known}")
 
     def _age(self, port: str) -> float:
-        if port not in self._named("subscribes"):
-            raise UsageError(self._no_port(port, "subscribes"))
+        self._check_is_one(port, "subscribes")
         return self.clock.now() - self._came.get(port, -inf)
 
     def _measure(self, name: str, value: float) -> None:

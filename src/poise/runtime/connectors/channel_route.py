@@ -73,6 +73,9 @@ class ChannelRoute:
         lease: LeaseEnd | None,
     ) -> None:
         self._channel = channel
+        self.try_connect, self.is_calling = channel.try_connect, channel.is_calling
+        self.give_up, self.close = channel.give_up, channel.close
+        self.has_room = credit.has_room
         self._source = spec.source
         self._lease = lease
         self._remote_clock = remote_clock
@@ -84,26 +87,10 @@ class ChannelRoute:
         if port.latest:
             self._tag, self._codec = numbered_tag(port.type), numbered(self._codec)
 
-    def try_connect(self) -> bool:
-        """Return whether the receiving end is there."""
-        return self._channel.try_connect()
-
     @property
     def refusal(self) -> str:
         """Why another computer was not reached last, if it is known."""
         return self._channel.refusal
-
-    def give_up(self) -> None:
-        """Wait no more for a computer that is cut off."""
-        self._channel.give_up()
-
-    def close(self) -> None:
-        """Close the channel."""
-        self._channel.close()
-
-    def is_calling(self) -> bool:
-        """Return whether a call waits for its answer."""
-        return self._channel.is_calling()
 
     def push(self, method: Method | None, value: object) -> int:
         """Send a message or one-way call."""
@@ -121,10 +108,6 @@ class ChannelRoute:
         )
         self._channel.push(pieces, self._limit, credit.note_sent)
         return size_of(pieces)
-
-    def has_room(self) -> bool:
-        """Return whether there is credit for one more message."""
-        return self._credit.has_room()
 
     def ask(self) -> None:
         """Request credit, behind all that went out."""
