@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from typing import Any, ClassVar
 
 from msgspec import Struct
@@ -61,10 +62,13 @@ class BridgeNode(Component):
 
     def configure(self) -> None:
         """Make a node of its own."""
+        self.closing = ExitStack()
         ros_context.join(self.parameters["environment"])
-        self._is_joined = True
+        self.closing.callback(ros_context.leave)
         self.node = ros_context.node_of(re.sub(r"\W", "_", f"poise_{self.name}"))
+        self.closing.callback(self.node.destroy_node)
         self.source = ExecutorSource(self.node, self._context.give_up)
+        self.closing.callback(self.source.close)
         self.open()
 
     def open(self) -> None:
@@ -86,13 +90,8 @@ class BridgeNode(Component):
         self._context.listen(None)
 
     def cleanup(self) -> None:
-        """Destroy the node."""
-        if getattr(self, "_is_joined", False):
-            self._is_joined = False
-            if hasattr(self, "source"):
-                self.source.close()
-                self.node.destroy_node()
-            ros_context.leave()
+        """Destroy the node, and before it what it does not know."""
+        self.closing.close()
 
 
 def annotated(form: Any) -> Callable[..., dict[str, Any]]:  # noqa: ANN401, of a port

@@ -9,6 +9,7 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from functools import partial
 from typing import Any, get_type_hints
 
@@ -48,12 +49,15 @@ class RosNode(Component):
 
     def configure(self) -> None:
         """Make the node; a lifecycle node is configured."""
+        self._closing = ExitStack()
         start = self.parameters[START]
         ros_context.join(start["environment"])
-        self._is_joined = True
+        self._closing.callback(ros_context.leave)
         values = {k: v for k, v in self.parameters.items() if k != START}
         with ros_context.arguments_given([*start["arguments"], *as_arguments(values)]):
             self.node = _made(type(self).make, start["node"])
+        self._closing.callback(self.node.destroy_node)
+        self._closing.callback(self._transit, "cleanup")
         hooks = getattr(self.node, "_callbacks", {})  # of a lifecycle node
         hooks.update(
             {state: partial(self._call, hook) for state, hook in hooks.items()}
@@ -65,6 +69,7 @@ class RosNode(Component):
         if self._hands_over:
             self._arrivals.watch(self.node)
         self._source = ExecutorSource(self.node, self._context.give_up)
+        self._closing.callback(self._source.close)
 
     def activate(self) -> None:
         """Begin to run its callbacks; what its predecessor had is not taken again."""
@@ -82,18 +87,8 @@ class RosNode(Component):
 
     def cleanup(self) -> None:
         """Destroy the node."""
-        node, source = getattr(self, "node", None), getattr(self, "_source", None)
-        if source is not None:
-            self._context.listen(None)
-            source.close()
-        if node is not None:
-            try:
-                self._transit("cleanup")
-            finally:
-                node.destroy_node()
-        if getattr(self, "_is_joined", False):
-            self._is_joined = False
-            ros_context.leave()
+        self._context.listen(None)
+        self._closing.close()
 
     def reconfigure(self, parameters: Mapping[str, Any]) -> None:
         """Let the node take other parameters, or refuse them."""

@@ -103,6 +103,7 @@ class AsksRos(Services):
         from rclpy.executors import SingleThreadedExecutor  # noqa: PLC0415, as above
 
         self._waiting = SingleThreadedExecutor()
+        self.closing.callback(self._waiting.shutdown)
         self._waiting.add_node(self.node)
         services = self.conversions(self.clock)
         self._clients = {
@@ -136,12 +137,6 @@ class AsksRos(Services):
                 future.cancel()
             raise Timeout(f"'{name}' gave no answer within {limit:.3g} s")
         return future.result()
-
-    def cleanup(self) -> None:
-        """Destroy the node."""
-        if hasattr(self, "_waiting"):
-            self._waiting.shutdown()
-        super().cleanup()
 
 
 def _service(
@@ -221,7 +216,7 @@ class ServesActions(Services):
         services = self.conversions(self.clock)
         for entry, service in zip(self.entries, services, strict=True):
             if service.name not in self._servers:
-                self._servers[service.name] = ActionServer(
+                server = ActionServer(
                     self.node,
                     service.kind,
                     entry.ros2,
@@ -230,6 +225,8 @@ class ServesActions(Services):
                     handle_accepted_callback=partial(self._begin, service),
                     cancel_callback=partial(self._cancel, service),
                 )
+                self._servers[service.name] = server
+                self.closing.callback(server.destroy)
         super().listen()
 
     def _begin(self, service: Service, goal: Any) -> None:  # noqa: ANN401, a goal of rclpy
@@ -282,12 +279,6 @@ class ServesActions(Services):
 
         self._servers[service.name].notify_execute(goal, finish)
 
-    def cleanup(self) -> None:
-        """Destroy the node, and before it what it does not know."""
-        for server in getattr(self, "_servers", {}).values():
-            server.destroy()
-        super().cleanup()
-
 
 class AsksActions(AsksRos):
     """Answers the port by the results of goals in ROS 2."""
@@ -295,7 +286,9 @@ class AsksActions(AsksRos):
     def _client(self, kind: Any, name: str) -> Any:  # noqa: ANN401, of rclpy
         from rclpy.action import ActionClient  # noqa: PLC0415, only where a node runs
 
-        return ActionClient(self.node, kind, name)
+        client = ActionClient(self.node, kind, name)
+        self.closing.callback(client.destroy)
+        return client
 
     def _ask(self, method: str, *arguments: Any) -> Any:  # noqa: ANN401, as the port says
         service, client, name = self._clients[method]
@@ -323,12 +316,6 @@ class AsksActions(AsksRos):
             how = _ENDS.get(ended.status, f"with the status {ended.status}")
             raise RunError(f"the goal of '{name}' ended {how}")
         return service.from_ros(ended.result)
-
-    def cleanup(self) -> None:
-        """Destroy the node, and before it what it does not know."""
-        for _, client, _ in getattr(self, "_clients", {}).values():
-            client.destroy()
-        super().cleanup()
 
 
 _ACCEPTED_WITHIN = 1.0

@@ -34,10 +34,9 @@ class Topics(BridgeNode):
         of = Conversions(clock).of
         return [of(cls.port.type, interface(entry.type)) for entry in cls.entries]
 
-    def configure(self) -> None:
-        """Make a node of its own."""
+    def open(self) -> None:
+        """Know nobody yet at the other end of a topic."""
         self._misfits: set[str] = set()
-        super().configure()
 
     def _look_at_others(self) -> None:
         """Raise once for each node that does not fit: nothing else says it."""
@@ -61,6 +60,7 @@ class ToTopics(Topics):
 
     def open(self) -> None:
         """Make the publishers."""
+        super().open()
         self._out: list[tuple[Convert, Convert]] = []
         for entry, pair in zip(self.entries, self.conversions(self.clock), strict=True):
             kind = interface(entry.type)
@@ -112,11 +112,6 @@ class Came(Struct, frozen=True):
 class FromTopics(Topics):
     """Subscribes in ROS 2, and publishes to the port."""
 
-    def configure(self) -> None:
-        """Make a node of its own."""
-        self._arrivals = Arrivals()
-        super().configure()
-
     def snapshot(self) -> Came:
         """Return until when it took messages: its successor gets some of them, too."""
         return Came(dict(self._arrivals.stamps))
@@ -127,6 +122,8 @@ class FromTopics(Topics):
 
     def open(self) -> None:
         """Make the subscriptions."""
+        super().open()
+        self._arrivals = Arrivals()
         for entry, pair in zip(self.entries, self.conversions(self.clock), strict=True):
             self._subscribe(entry, pair.from_ros, {})
         self.node.create_timer(_LOOK_EVERY, self._look_at_others)
