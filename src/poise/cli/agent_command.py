@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
-import re
 import sys
 import time
 from collections.abc import Iterator, Sequence
@@ -17,15 +16,16 @@ import typer
 
 from poise.cli.main import Interrupts
 from poise.cli.options import parse_option
-from poise.endpoint import AGENT_PORT, NAME, NAME_SAYS, Endpoint
+from poise.endpoint import AGENT_PORT, Endpoint
 from poise.errors import PoiseError, UsageError
 from poise.runtime.agent.agent import Agent
 from poise.runtime.agent.surroundings import BROKEN, DEPLOYED, AgentSetup
 from poise.runtime.container.account import Account
 from poise.session.agent_service import AgentService
+from poise.session.arguments import check_name
 from poise.session.folders import agent_folder, state_folder, system_agent_folder
 from poise.threads import explained
-from poise.units import SECONDS, quoted
+from poise.units import SECONDS
 from poise.wire.control_session import SESSION_TIMEOUT
 from poise.wire.credentials import find, folders, raise_if_of_other_role
 
@@ -39,8 +39,7 @@ takes half a second of a core."""
 
 def _name(of: typer.CallbackParam, text: str) -> str:
     """Return a name that a robot file may have; files and units are called so."""
-    if not re.fullmatch(NAME, text):
-        raise UsageError(f"{quoted(text)} is not a {of.name}'s name: {NAME_SAYS}")
+    check_name(text, f"a {of.name}'s name")
     return text
 
 
@@ -336,11 +335,10 @@ def install_command(
 
     Example: poise agent install left --robot hello --address 10.0.0.1 --run-as robot
     """
-    check_ip(address)
+    found = keys_for(robot, computer, address, keys, is_insecure=insecure)
     arguments = ["--robot", robot, "--address", address, "--port", str(port)]
     if gateway:
         arguments += ["--gateway", str(gateway)]
-    found = keys_for(robot, computer, address, keys, is_insecure=insecure)
     arguments += ["--keys", found] if found else []
     if insecure:
         arguments.append("--insecure")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -13,11 +12,11 @@ import typer
 
 from poise.cli.options import RobotFile, Set, arguments_of, busy, in_file, parse_option
 from poise.cli.plan_command import computer_of
-from poise.endpoint import NAME, NAME_SAYS
 from poise.errors import RobotError, UsageError
 from poise.model.hardware import Computer
 from poise.model.loading import load
 from poise.model.robot import Robot
+from poise.session.arguments import check_name
 from poise.session.diagrams.draw import FORMATS, What, draw
 from poise.session.folders import make_folder, to_write, write_whole
 from poise.session.placing.placement import place
@@ -25,7 +24,7 @@ from poise.session.profiling.stored_profiles import profiled
 from poise.session.render.printable import console_to
 from poise.session.robot_file import check, with_code
 from poise.session.running_robots.running import Running
-from poise.units import SECONDS, format_bytes, quoted
+from poise.units import SECONDS, format_bytes
 
 _RUNNING = "running"
 _ON_STDOUT = "-"
@@ -174,7 +173,7 @@ def import_command(
         raise UsageError(f"{output} exists: remove it, or name another file with -o")
     if not output.absolute().parent.is_dir():
         raise UsageError(f"--output {output}: there is no folder for it")
-    _check_name("--name", name)
+    check_name(name, "a name", "--name")
     computers = _keys(computer_of(each, "--computer") for each in computer or ())
     sys.stderr.write(f"watching ROS 2 for {seconds:g} s\n")
     imported = import_robot(
@@ -238,7 +237,7 @@ def _keys(computers: Iterable[Computer]) -> dict[str, dict[str, str | float]]:
     keys: dict[str, dict[str, str | float]] = {}
     for computer in computers:
         name, has = computer.name, computer.capacity
-        _check_name("--computer", name)
+        check_name(name, "a name", "--computer")
         if name in keys:
             raise UsageError(f"--computer {name} is there twice: name it once")
         if has.keys() != {"cpu", "memory"} or not all(has.values()):
@@ -248,8 +247,3 @@ def _keys(computers: Iterable[Computer]) -> dict[str, dict[str, str | float]]:
             )
         keys[name] = {"cpu": has["cpu"], "memory": format_bytes(has["memory"])}
     return keys
-
-
-def _check_name(option: str, name: str) -> None:
-    if not re.fullmatch(NAME, name):
-        raise UsageError(f"{option} {quoted(name)} is not a name: {NAME_SAYS}")

@@ -84,7 +84,18 @@ def list_command(as_json: AsJson = False) -> None:
 
     Example: poise emulate list
     """
-    listed = [_listed(kept) for kept in all_sets()]
+    states = [(kept, kept.state()) for kept in all_sets()]
+    listed = [
+        ListedSet(
+            robot=kept.robot,
+            process=kept.layout.owner.pid,
+            since=state.since or 0.0,
+            computers={name: each.address for name, each in kept.computers.items()},
+            without=state.without,
+            faults=state.faults,
+        )
+        for kept, state in states
+    ]
     show(listed, map(escape, _lines(listed)), as_json=as_json)
 
 
@@ -146,7 +157,7 @@ def heal_command(
     """
     find_set(robot).heal(computer, other)
     what = f"'{computer}'" if other is None else f"the link {computer} - {other}"
-    console_to().print(f"{what} is healed", highlight=False)
+    console_to().print(f"{what} is healed")
 
 
 def crash_command(computer: Computer, robot: Robot = None) -> None:
@@ -185,7 +196,7 @@ def boot_command(computer: Computer, robot: Robot = None) -> None:
     Example: poise emulate boot vision
     """
     find_set(robot).boot(computer)
-    console_to().print(f"'{computer}' is back", highlight=False)
+    console_to().print(f"'{computer}' is back")
 
 
 def load_command(
@@ -202,7 +213,7 @@ def load_command(
     if cores:
         _say_last(kept)
     else:
-        console_to().print(f"the load on '{computer}' has ended", highlight=False)
+        console_to().print(f"the load on '{computer}' has ended")
 
 
 def stop_command(
@@ -234,20 +245,8 @@ def stop_command(
 def _say_last(kept: EmulatedSet) -> None:
     """Print the fault that was injected last, and what ends it."""
     fault = kept.state().faults[-1]
-    console_to().print(f"{fault}; {fault.way_out}", highlight=False)
+    console_to().print(f"{fault}; {fault.way_out}")
 
 
 def _quantity(option: str, text: str | None, dimension: Dimension) -> float | None:
     return None if text is None else parse_option(option, text, dimension)
-
-
-def _listed(kept: EmulatedSet) -> ListedSet:
-    state = kept.state()
-    return ListedSet(
-        robot=kept.robot,
-        process=kept.layout.owner.pid,
-        since=state.since or 0.0,
-        computers={name: computer.address for name, computer in kept.computers.items()},
-        without=state.without,
-        faults=state.faults,
-    )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import sys
 from pathlib import Path
 from typing import Annotated, get_args
@@ -11,8 +10,8 @@ import typer
 from msgspec import Struct
 
 from poise.cli.options import AsJson, show
-from poise.endpoint import NAME, NAME_SAYS
 from poise.errors import PoiseError, UsageError, did_you_mean
+from poise.session.arguments import check_name
 from poise.session.keys import DAYS, MOST_DAYS, authority_of, init_keys
 from poise.session.render.tables import table
 from poise.units import quoted
@@ -98,8 +97,8 @@ def issue_command(
         if not name.strip(". ") or "/" in name or not name.isprintable():
             what = f"{quoted(name)} is no name: a folder in {out} is called so"
             raise UsageError(what)
-        if of_role == "agent" and not re.fullmatch(NAME, name):
-            raise UsageError(f"{quoted(name)} is not a computer's name: {NAME_SAYS}")
+        if of_role == "agent":
+            check_name(name, "a computer's name")
     authority = authority_of(robot, folder)
     for name in names:
         issued = authority.issue(name, of_role, out / name, days=days)

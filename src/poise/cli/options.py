@@ -12,7 +12,7 @@ import msgspec
 import typer
 
 from poise.errors import RunError, UsageError
-from poise.units import Dimension, parse
+from poise.units import SECONDS, Dimension, parse
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -109,6 +109,22 @@ def arguments_of(words: list[str] | None) -> dict[str, str]:
 def print_json(outcome: object) -> None:
     """Print one JSON object."""
     sys.stdout.write(msgspec.json.encode(outcome).decode() + "\n")
+
+
+def as_yaml(value: object) -> str:
+    """Return plain data for people, as YAML."""
+    import yaml
+
+    text = yaml.safe_dump(value, sort_keys=False, allow_unicode=True)
+    return text.removesuffix("...\n")
+
+
+def positive_seconds(text: str, what: str) -> float:
+    """Return how long `what` is to last by `--for` [s]; UsageError: not above 0."""
+    seconds = parse_option("--for", text, SECONDS)
+    if not seconds > 0:
+        raise UsageError(f"--for {text}: {what} must last longer than 0 s")
+    return seconds
 
 
 def show(outcome: object, parts: Iterable[RenderableType], *, as_json: bool) -> None:

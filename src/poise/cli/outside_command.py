@@ -10,10 +10,9 @@ from functools import partial
 from typing import Annotated, Any
 
 import typer
-import yaml
 
 from poise.cli.main import Interrupts
-from poise.cli.options import AsJson, parse_option, print_json, running
+from poise.cli.options import AsJson, as_yaml, parse_option, print_json, running
 from poise.cli.running_robot_command import Robot
 from poise.errors import (
     CalleeError,
@@ -78,7 +77,7 @@ def call_command(
     if as_json:
         print_json({"result": Plain(sys.maxsize).of(result)})
     elif result is not None:
-        sys.stdout.write(_text(Plain().of(result)))
+        sys.stdout.write(as_yaml(Plain().of(result)))
 
 
 def pub_command(
@@ -152,11 +151,6 @@ def _component(port: str, robot: str | None) -> tuple[RunningComponent, str]:
     return connect(robot).component(component), name
 
 
-def _text(value: object) -> str:
-    text = yaml.safe_dump(value, sort_keys=False, allow_unicode=True)
-    return text.removesuffix("...\n")
-
-
 Component = Annotated[
     str, typer.Argument(show_default=False, autocompletion=running("components"))
 ]
@@ -212,7 +206,7 @@ def get_command(
     if as_json or not name:
         _show({name: values[name]} if name else values, as_json=as_json)
     else:
-        sys.stdout.write(_text(values[name]))
+        sys.stdout.write(as_yaml(values[name]))
 
 
 def set_command(
@@ -254,7 +248,7 @@ def _show(values: dict[str, Any], *, as_json: bool) -> None:
     if as_json:
         print_json(values)
     elif values:
-        sys.stdout.write(_text(values))
+        sys.stdout.write(as_yaml(values))
 
 
 param_command = list_command

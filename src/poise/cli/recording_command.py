@@ -12,7 +12,7 @@ import typer
 from rich.table import Table
 
 from poise.cli.main import Interrupts
-from poise.cli.options import AsJson, parse_option, print_json, running, show
+from poise.cli.options import AsJson, positive_seconds, print_json, running, show
 from poise.cli.running_robot_command import Robot
 from poise.errors import UsageError
 from poise.manage.observe.estimates import DemandEstimate
@@ -23,7 +23,7 @@ from poise.session.render.tables import table
 from poise.session.robot_file import load_bare
 from poise.session.running_robots.playback import CALLS, play
 from poise.session.running_robots.running import connect
-from poise.units import SECONDS, counted
+from poise.units import counted
 from poise.view.robot_recording import record
 
 
@@ -127,9 +127,7 @@ def record_command(
     """
     if not rate > 0:
         raise UsageError(f"--rate {rate:g}: must be a positive number")
-    seconds = math.inf if for_ is None else parse_option("--for", for_, SECONDS)
-    if not seconds > 0:
-        raise UsageError(f"--for {for_}: a recording must last longer than 0 s")
+    seconds = math.inf if for_ is None else positive_seconds(for_, "a recording")
     status = connect(robot).status()
     clock = time.strftime("%Y%m%d-%H%M%S")
     path = output or Path(f"{status.robot}-{clock}.mcap")

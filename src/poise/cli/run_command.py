@@ -23,7 +23,7 @@ from poise.cli.options import (
     RobotTask,
     Set,
     arguments_of,
-    parse_option,
+    positive_seconds,
     show,
     try_write,
 )
@@ -39,7 +39,6 @@ from poise.session.render.printable import console_to
 from poise.session.render.run_progress import progress
 from poise.session.robot_file import load, task_of
 from poise.session.run import run
-from poise.units import SECONDS
 
 
 def run_command(
@@ -84,9 +83,7 @@ def run_command(
 
     Example: poise run robot.yaml --task fetch --for 20s
     """
-    seconds = parse_option("--for", for_, SECONDS)
-    if not seconds > 0:
-        raise UsageError(f"--for {for_}: a run must last longer than 0 s")
+    seconds = positive_seconds(for_, "a run")
     console = console_to(stderr=as_json)
     say = console.say
     with console.status("checking the robot file and its code ..."):
@@ -190,9 +187,10 @@ def up_command(
         check_dashboard()
     with Printer() as printer, log_printer():
         say = printer.print
-        robot = load(file, arguments_of(set_), say=say, meanwhile=_import_the_rest)
+        # the manager, so that a robot waits for it no longer than it must
+        import_the_rest = partial(importlib.import_module, "poise.session.up")
+        robot = load(file, arguments_of(set_), say=say, meanwhile=import_the_rest)
         from poise.session.launch.detached import up_detached
-        from poise.session.placing.placement import place
         from poise.session.up import up
 
         if detach:
@@ -238,11 +236,6 @@ def up_command(
             say("stopping")
         if running.started.live.remaining or running.unrecorded:  # it was said
             raise typer.Exit(1)
-
-
-def _import_the_rest() -> None:
-    """Import the manager, so that a robot waits for it no longer than it must."""
-    importlib.import_module("poise.session.up")
 
 
 _CLONE = Path(__file__).parents[3]

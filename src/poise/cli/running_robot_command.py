@@ -257,16 +257,12 @@ def stop_command(
     _check_one(file, robot)
     with busy("stopping"):
         if file is None:
-            _stop(Running(robot))
+            running = Running(robot)
+            with telling_progress(running, "the robot is stopping"):
+                running.stop()
         else:
             poise.stop_without_manager(poise.model.load(file))
     console_to().print("stopped")
-
-
-def _stop(running: Running) -> None:
-    """Stop a robot, and say what that waits for."""
-    with telling_progress(running, "the robot is stopping"):
-        running.stop()
 
 
 def _act(act: Callable[[], Outcome], *, as_json: bool) -> None:

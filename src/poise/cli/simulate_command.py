@@ -17,7 +17,7 @@ from poise.cli.options import (
     RobotTask,
     Set,
     arguments_of,
-    parse_option,
+    positive_seconds,
     print_json,
     try_write,
 )
@@ -35,7 +35,6 @@ from poise.session.simulate import (
     compare_simulations,
     simulate,
 )
-from poise.units import SECONDS
 
 
 def simulate_command(
@@ -90,9 +89,7 @@ def simulate_command(
 
     poise simulate robot.yaml --for 1h --faults random --seed 7 --compare auto,static
     """
-    seconds = parse_option("--for", for_, SECONDS)
-    if not seconds > 0:
-        raise UsageError(f"--for {for_}: a simulation must last longer than 0 s")
+    seconds = positive_seconds(for_, "a simulation")
     if compare is not None and placement is not None:
         raise UsageError(
             f"--compare {compare} and --placement {placement} together: add "

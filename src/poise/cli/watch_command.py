@@ -11,16 +11,15 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import msgspec
 import typer
-import yaml
 from msgspec.structs import replace
 from rich.console import Console
 from rich.markup import escape
 
-from poise.cli.options import AsJson, parse_option, print_json, running, show
+from poise.cli.options import AsJson, as_yaml, parse_option, print_json, running, show
 from poise.cli.running_robot_command import Robot
 from poise.clock import time_of_day
 from poise.endpoint import is_loopback
@@ -104,7 +103,11 @@ def echo_command(
     shown = 0
     for reading in Running(robot).echo(connector, rate=rate):
         for passed in reading.passed[: None if count is None else count - shown]:
-            sys.stdout.write(_as_text(passed.at, passed.value, as_json=as_json))
+            if as_json:
+                print_json({"at": passed.at, "value": passed.value})
+            else:
+                moment = f"{time_of_day(passed.at)}.{int(passed.at % 1 * 1000):03}"
+                sys.stdout.write(f"--- {moment}\n{as_yaml(passed.value)}")
             shown += 1
         sys.stdout.flush()
         more = len(reading.times) + reading.missing - len(reading.passed)
@@ -112,14 +115,6 @@ def echo_command(
             return
         if more:
             sys.stderr.write(f"# {more} more, not shown\n")
-
-
-def _as_text(at: float, value: Any, *, as_json: bool) -> str:  # noqa: ANN401, JSON's
-    if as_json:
-        return msgspec.json.encode({"at": at, "value": value}).decode() + "\n"
-    clock = time_of_day(at)
-    text = yaml.safe_dump(value, sort_keys=False, allow_unicode=True)
-    return f"--- {clock}.{int(at % 1 * 1000):03}\n{text.removesuffix('...' + chr(10))}"
 
 
 def log_command(
@@ -153,7 +148,10 @@ def log_command(
         if reading.omitted:
             sys.stderr.write(f"# {reading.omitted} more before\n")
         for line in reading.lines:
-            sys.stdout.write(_log_line(line, as_json=as_json))
+            if as_json:
+                print_json(line)
+            else:
+                sys.stdout.write(_log_line(line))
         sys.stdout.flush()
         if reading.silent != silent:
             silent = reading.silent
@@ -163,9 +161,7 @@ def log_command(
         raise typer.Exit(1)
 
 
-def _log_line(line: OutputLine, *, as_json: bool) -> str:
-    if as_json:
-        return msgspec.json.encode(line).decode() + "\n"
+def _log_line(line: OutputLine) -> str:
     clock = time_of_day(line.at // 10**9)
     millis = line.at // 10**6 % 1000
     text = visible(line.text, colours=sys.stdout.isatty())
@@ -205,7 +201,7 @@ def hz_command(
         size = _size(running, reading.connector)
         rate = replace(rate, size=size.median, largest=size.maximum)
         if as_json:
-            sys.stdout.write(msgspec.json.encode(rate).decode() + "\n")
+            print_json(rate)
         else:
             sys.stdout.writelines(f"{line}\n" for line in rate.lines())
         sys.stdout.flush()

@@ -101,9 +101,9 @@ class AgentService:
         if not self.path.exists():
             raise UsageError(f"there is no {self.path}: nothing is installed")
         self._raise_if_anothers()
-        is_told = self._tell(["disable", "--now", self.name])
+        self._tell(["disable", "--now", self.name])
         self.path.unlink()
-        return is_told and self._tell(["daemon-reload"])
+        return self._tell(["daemon-reload"])
 
     def _raise_if_anothers(self) -> None:
         """Raise UsageError if the unit is of robot ``a``, and this one is ``a-b``."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from math import inf
 from numbers import Real
@@ -9,8 +10,10 @@ from os import PathLike
 from reprlib import repr as short
 from types import UnionType
 
+from poise.endpoint import NAME, NAME_SAYS
 from poise.errors import UsageError
 from poise.model.robot import Robot
+from poise.units import quoted
 
 
 def check_type(name: str, value: object, kind: type | UnionType, is_what: str) -> None:
@@ -35,6 +38,13 @@ def check_names(name: str, value: object) -> None:
     """Raise UsageError for a text, which would be read letter by letter."""
     if isinstance(value, str) or not isinstance(value, Iterable):
         raise UsageError(f"{name}={short(value)}: it must be a list of names")
+
+
+def check_name(name: str, is_what: str, option: str = "") -> None:
+    """Raise UsageError for what a robot file may not call a robot or a computer."""
+    if not re.fullmatch(NAME, name):
+        given = f"{option} {quoted(name)}".strip()
+        raise UsageError(f"{given} is not {is_what}: {NAME_SAYS}")
 
 
 def check_robot(robot: object) -> None:

@@ -64,7 +64,10 @@ def _topics(robot: Robot, bag: Bag) -> dict[str, list[str]]:
     lacking = []
     for bridge in _taking(robot):
         topic, found = topic_name(bridge.ros2), bag.types.get(topic_name(bridge.ros2))
-        topics.setdefault(topic, []).extend(_from_bridge(robot, bridge))
+        own = bridge_of(bridge.port)
+        topics.setdefault(topic, []).extend(
+            str(c) for c in robot.all_connectors() if c.between[0].component == own
+        )
         if found is None and topic not in sent:
             lacking.append(f"no topic '{topic}', which {bridge.port} takes")
         elif found and not found.endswith(wanted := _type_of(robot, bridge)):
@@ -81,11 +84,6 @@ def _topics(robot: Robot, bag: Bag) -> dict[str, list[str]]:
             "(`ros2 bag record`), or let `workload` generate messages for the port"
         )
     return topics
-
-
-def _from_bridge(robot: Robot, bridge: Ros2Bridge) -> Iterator[str]:
-    own = bridge_of(bridge.port)
-    return (str(c) for c in robot.all_connectors() if c.between[0].component == own)
 
 
 def _type_of(robot: Robot, bridge: Ros2Bridge) -> str:

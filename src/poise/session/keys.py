@@ -7,7 +7,6 @@ signs. `cryptography` does all that is cryptographic.
 from __future__ import annotations
 
 import os
-import re
 import secrets
 import shutil
 from collections.abc import Iterator
@@ -21,8 +20,8 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from msgspec import Struct
 
-from poise.endpoint import NAME, NAME_SAYS
 from poise.errors import UsageError
+from poise.session.arguments import check_name
 from poise.wire.credentials import (
     AUTHORITY,
     CERTIFICATE,
@@ -188,8 +187,7 @@ def init_keys(robot: str, folder: Path | None = None) -> Authority:
     `folder`: where these are; None: in the owner's data folder. UsageError: there is
     one already, the folder cannot be written, or it is not a name.
     """
-    if not re.fullmatch(NAME, robot):
-        raise UsageError(f"'{robot}' is not a robot's name: {NAME_SAYS}")
+    check_name(robot, "a robot's name")
     authority = Authority(robot, folder or folders(robot)[0])
     owner = authority.folder / _OWNER
     if (owner / "current.pem").exists():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import shutil
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from os import PathLike
 from pathlib import Path
 
@@ -14,9 +14,9 @@ from msgspec import Struct
 
 from poise.errors import PoiseError, UsageError
 from poise.manage.observe.sample_recording import RecordingFile
-from poise.model.robot import ConnectorEnd, Robot
+from poise.model.robot import ComponentEntry, ConnectorEnd, Robot
 from poise.runtime.component.implementation import find, search_also
-from poise.runtime.component.ports import ports_of
+from poise.runtime.component.ports import Port, ports_of
 from poise.session import Say
 from poise.wire.recording_file import inputs_folder, left_inputs
 
@@ -62,12 +62,16 @@ def interface_type(robot: Robot, end: ConnectorEnd) -> str:
     return _type(robot, end, ("requires", "provides"))
 
 
-def _type(robot: Robot, end: ConnectorEnd, kinds: tuple[str, ...]) -> str:
-    component = next(c for c in robot.components() if c.name == end.component)
+def coded_ports(robot: Robot, component: ComponentEntry) -> Mapping[str, Port]:
+    """Return the ports that a component's class has; none of what has no class."""
     if not component.implementation:
-        return ""
+        return {}
     search_also(robot.repository)
-    port = ports_of(find(component.implementation, robot.folder)).get(end.port)
+    return ports_of(find(component.implementation, robot.folder))
+
+
+def _type(robot: Robot, end: ConnectorEnd, kinds: tuple[str, ...]) -> str:
+    port = coded_ports(robot, robot.component(end.component)).get(end.port)
     if port is None or port.kind not in kinds:
         return ""
     return f"{port.type.__module__}:{port.type.__qualname__}"

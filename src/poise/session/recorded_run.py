@@ -159,12 +159,7 @@ class RecordedRun:
     def __init__(self, file: str | PathLike[str]) -> None:
         check_path("file", file)
         self.file = Path(file)
-        self._robot = robot_of(self.file)
-
-    @property
-    def robot(self) -> str:
-        """The robot's name."""
-        return self._robot
+        self.robot = robot_of(self.file)
 
     def rows(self, of: Which = "components") -> list[dict[str, Any]]:
         """Return a row for every component, or end of a connector, in every sample."""
@@ -229,15 +224,12 @@ class RecordedRun:
         """
         check_recorded(self.file, robot.name)
         estimates = Estimates(robot, read_profile(robot), emulated=robot.is_emulated)
-        samples = list(self._samples())
-        began = min((sample.at for sample in samples), default=0.0)
-
-        for sample in sorted(samples, key=lambda each: each.at):
+        samples = sorted(self._samples(), key=lambda each: each.at)
+        for sample in samples:
             for name, drift in estimates.add(sample):
-                say(
-                    f"{sample.at - began:.1f} s: '{name}' needs {drift.after:.1%} "
-                    f"of a core, {drift.before:.1%} before"
-                )
+                needs = f"{drift.after:.1%} of a core, {drift.before:.1%} before"
+                at = sample.at - samples[0].at
+                say(f"{at:.1f} s: '{name}' needs {needs}")
         return estimates.demand_estimates()
 
     def _samples(self) -> Iterator[AgentSample]:

@@ -10,7 +10,7 @@ from contextlib import closing, suppress
 from numbers import Integral
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from msgspec import Struct, structs
 from rich.console import RenderableType
@@ -222,7 +222,7 @@ def _scenario(
     check_type("seed", faults[1], Integral, "a whole number")
     check_path("recording", recording or "")
     chosen = task_of(robot, task)
-    return plan(
+    asked = plan(
         robot=as_learned(robot, [chosen]),
         placement={},
         method="",
@@ -230,19 +230,14 @@ def _scenario(
         profile=read_profile(robot),
         faults=faults_of(robot, faults[0], seconds, faults[1]),
         adapts=adapt,
-        **_recorded(robot, recording),
         seconds=seconds,
     )
-
-
-def _recorded(robot: Robot, recording: str | PathLike[str] | None) -> dict[str, Any]:
-    """Return what the plan has of a recording, or of a bag of ROS 2."""
     if recording is None:
-        return {}
+        return asked
     path = Path(recording)
     if is_bag(path):
-        return {"bag": bag_traffic(robot, path)}
-    return {"cores": RecordedRun(path).cores(robot)}
+        return structs.replace(asked, bag=bag_traffic(robot, path))
+    return structs.replace(asked, cores=RecordedRun(path).cores(robot))
 
 
 def _simulated(

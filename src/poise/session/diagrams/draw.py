@@ -12,17 +12,8 @@ from msgspec import Struct
 from poise.errors import UsageError, listed
 from poise.manage.migration.migration_report import TransitionStep
 from poise.manage.migration.transition_plan import plan_transition
-from poise.model.robot import (
-    Architecture,
-    Computer,
-    Connector,
-    ConnectorEnd,
-    Link,
-    Robot,
-)
+from poise.model.robot import Architecture, Computer, Connector, Link, Robot
 from poise.plan.from_robot import check_task
-from poise.runtime.component.implementation import find, search_also
-from poise.runtime.component.ports import ports_of
 from poise.session.arguments import check_path, check_robot, check_type
 from poise.session.diagrams.diagram import (
     Arrow,
@@ -36,6 +27,7 @@ from poise.session.diagrams.diagram import (
 )
 from poise.session.diagrams.svg_notation import svg
 from poise.session.folders import write_whole
+from poise.session.record_run import coded_ports
 from poise.units import (
     counted,
     format_amount,
@@ -186,37 +178,27 @@ def _subsystem(each: Architecture) -> Box:
 
 def _join(connector: Connector, ports: Ports) -> Join:
     source, target = connector.between
-    kind, type_ = _port(source, ports) or _port(target, ports) or ("", "")
+    own = ports[source.component].get(source.port)
+    kind, type_ = own or ports[target.component].get(target.port, ("", ""))
     names, says = (source.component, target.component), (type_,) if type_ else ()
     if kind in {"requires", "provides"}:
         return Join(*names, "call", target.port, says)
     return Join(*names, "flow" if kind else "use", source.port, says)
 
 
-def _port(end: ConnectorEnd, ports: Ports) -> tuple[str, str] | None:
-    return ports[end.component].get(end.port)
-
-
 def _ports(robot: Robot, drawn: Collection[str]) -> Ports:
-    search_also(robot.repository)
     ports: Ports = {}
     for component in robot.components():
         if component.name in drawn:
-            declared = {
+            kinds: dict[str, tuple[str, str]] = {
                 port.name: (port.kind, port.type.rpartition(":")[2])
                 for port in component.ports
             }
-            named = dict(_of_class(component.implementation, robot.folder))
-            ports[component.name] = declared | named
+            for name, port in coded_ports(robot, component).items():
+                type_ = getattr(port.type, "__qualname__", str(port.type))
+                kinds[name] = port.kind, type_
+            ports[component.name] = kinds
     return ports
-
-
-def _of_class(
-    implementation: str, folder: str
-) -> Iterator[tuple[str, tuple[str, str]]]:
-    if implementation:
-        for name, port in ports_of(find(implementation, folder)).items():
-            yield name, (port.kind, getattr(port.type, "__qualname__", str(port.type)))
 
 
 _MOST_CROSSING = 4

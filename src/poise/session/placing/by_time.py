@@ -71,7 +71,7 @@ def decide_by_time(
     """
     if any(phase.problem.time_limits for phase in problem.phases):
         robot = with_code(robot)
-    elif not _has_deadlines(robot):
+    elif all(t.deadline is None for code in robot.code.values() for t in code.timers):
         return DecidedByTime(solvers[0](problem))
     work = workload_of(robot, read_profile(robot))
     chains = {each.name: each for each in chain_limits(robot, work)}
@@ -270,11 +270,6 @@ def _as_predicted(
     }
     told = replace(result, problem=problem, results=results)
     return DecidedByTime(told, decided.predicted)
-
-
-def _has_deadlines(robot: Robot) -> bool:
-    timers = (timer for code in robot.code.values() for timer in code.timers)
-    return any(timer.deadline is not None for timer in timers)
 
 
 def _without_prices(problem: plan.Problem) -> plan.Problem:

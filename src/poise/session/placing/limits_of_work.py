@@ -10,7 +10,7 @@ from poise.manage.deploy.deployment_layout import DeploymentLayout
 from poise.model.robot import Chain, Connector, Robot
 from poise.plan import Hop, Run, TimeLimit
 from poise.plan.from_robot import LATENESS_PRICE
-from poise.simulation.component_models import ComponentModel, HandlerModel
+from poise.simulation.component_models import HandlerModel
 from poise.simulation.workload import SimulatedWork
 
 
@@ -92,15 +92,10 @@ class _Paths:
             return
         slot = self._slot_of(connector)
         if connector.between[0].component == component:  # it publishes or calls
-            for handler in _handlers(model):
+            timers = (each.handler for each in model.timers)
+            for handler in (*timers, *model.takes.values(), *model.serves.values()):
                 if slot in handler.calls or slot in (handler.publishes or {}):
                     yield handler
         else:
             found = model.takes.get(slot) or model.serves.get(slot)
             yield found or model.other
-
-
-def _handlers(model: ComponentModel) -> Iterator[HandlerModel]:
-    yield from (timer.handler for timer in model.timers)
-    yield from model.takes.values()
-    yield from model.serves.values()

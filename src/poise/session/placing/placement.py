@@ -52,11 +52,10 @@ def by_rule(rule: str, robot: Robot, problem: plan.Problem) -> dict[str, str]:
     It may break limits. ``round-robin`` deals the components to the computers in turn,
     ``random:SEED`` at random, and ``whole-functions`` keeps what belongs to a function
     on one computer, the largest function first, where most CPU is left. None puts a
-    component where it may not run. Of a file, what is on null is left out.
+    component where it may not run.
     """
     static = plan.static(robot, problem)
-    names = [computer.name for computer in problem.computers]
-    choices = {each.name: tuple(each.only or names) for each in problem.components}
+    choices = _choices(problem)
     if rule == "static":
         return static
     if rule == "round-robin":
@@ -64,10 +63,14 @@ def by_rule(rule: str, robot: Robot, problem: plan.Problem) -> dict[str, str]:
         return {name: next(turns[choices[name]]) for name in static}
     if rule == "whole-functions":
         return _whole(problem, static, choices)
-    if rule.startswith("random:"):
-        chance = random.Random(_seed(rule))  # noqa: S311 - nothing secret
-        return {name: chance.choice(choices[name]) for name in static}
-    return _checked(rule, _read(Path(rule))[0], choices)
+    chance = random.Random(_seed(rule))  # noqa: S311 - nothing secret
+    return {name: chance.choice(choices[name]) for name in static}
+
+
+def _choices(problem: plan.Problem) -> dict[str, tuple[str, ...]]:
+    """Return component -> the computers where it may run."""
+    names = [computer.name for computer in problem.computers]
+    return {each.name: tuple(each.only or names) for each in problem.components}
 
 
 def _whole(
@@ -161,7 +164,7 @@ def _checked(
 def _by_file(rule: str, robot: Robot, problem: plan.Problem) -> plan.Result:
     """Return what a file places, without what it suspends."""
     found, named = _read(Path(rule))
-    placement = by_rule(rule, robot, problem)
+    placement = _checked(rule, found, _choices(problem))
     architectures = [architecture.name for architecture in robot.architectures]
     for name in sorted(named.difference(architectures)):
         said = unknown("architecture", name, architectures)

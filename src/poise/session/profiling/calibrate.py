@@ -6,14 +6,12 @@ import statistics
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
-from pathlib import Path
 from typing import get_args
 
-import msgspec
 from msgspec import Struct
+from msgspec.structs import replace
 
 from poise.errors import RunError, UsageError
-from poise.estimate import profiles as profile_file
 from poise.estimate.profiles import Costs, KindCosts
 from poise.manage.agent_connections.statuses import Statuses, located
 from poise.manage.journal import Journal
@@ -28,13 +26,13 @@ from poise.model.robot import (
 from poise.runtime.calibration import SCORES
 from poise.session import Check, nothing
 from poise.session.arguments import check_duration, check_robot
-from poise.session.folders import write_whole
 from poise.session.launch.start import Sampling, started
 from poise.session.profiling.stored_profiles import (
     check_keepable,
     own_profile,
     steady,
     store_of,
+    write_profile,
 )
 from poise.wire.records.deployment_records import ConnectorKind
 from poise.wire.records.status_records import AgentSample, ContainerSample
@@ -112,10 +110,10 @@ def pairs(robot: Robot, here: str, there: str) -> tuple[Robot, dict[str, str]]:
 
 def _architectures() -> Iterator[Architecture]:
     for pair in PAIRS:
-        source, target = (
-            ("Asker", "Echoer") if pair.how == "call" else ("Talker", "Listener")
-        )
+        is_call = pair.how == "call"
+        classes = ("Asker", "Echoer") if is_call else ("Talker", "Listener")
         ends = (f"{pair.name}-source", f"{pair.name}-target")
+        source, target = (ConnectorEnd(name, "port") for name in ends)
         yield Architecture(
             name=pair.name,
             function=pair.name,
@@ -126,22 +124,15 @@ def _architectures() -> Iterator[Architecture]:
                     isolated=pair.kind != "direct",
                     parameters={"size": pair.size},
                 )
-                for name, class_ in zip(ends, (source, target), strict=True)
+                for name, class_ in zip(ends, classes, strict=True)
             ),
-            connectors=(
-                Connector(
-                    between=(
-                        ConnectorEnd(ends[0], "port"),
-                        ConnectorEnd(ends[1], "port"),
-                    )
-                ),
-            ),
+            connectors=(Connector(between=(source, target)),),
         )
 
 
 def _bare(robot: Robot, architectures: tuple[Architecture, ...]) -> Robot:
     """Return the robot's computers and links with other software."""
-    return msgspec.structs.replace(
+    return replace(
         robot,
         architectures=architectures,
         connectors=(),
@@ -154,21 +145,12 @@ def _bare(robot: Robot, architectures: tuple[Architecture, ...]) -> Robot:
     )
 
 
-class Use(Struct, frozen=True):
-    """CPU time of one call or message at either end [s]."""
-
-    source: float
-    target: float
-
-
 def costs_of(
     samples: Iterable[AgentSample], speeds: Mapping[str, float]
 ) -> dict[str, KindCosts]:
     """Return the costs of connectors by kind; remote only with two computers."""
-    uses, computers = _uses(samples, speeds)
+    sources, targets, computers = _uses(samples, speeds)
     kinds = KINDS if len(computers) > 1 else KINDS[:-1]
-    sources = {pair: use.source for pair, use in uses.items()}
-    targets = {pair: use.target for pair, use in uses.items()}
     costs = {
         kind: KindCosts(source=_end(sources, kind), target=_end(targets, kind))
         for kind in kinds
@@ -184,7 +166,8 @@ def costs_of(
 
 def _uses(
     samples: Iterable[AgentSample], speeds: Mapping[str, float]
-) -> tuple[dict[Pair, Use], set[str]]:
+) -> tuple[dict[Pair, float], dict[Pair, float], set[str]]:
+    """Return the CPU time of a call or message at either end [s], and the computers."""
     series: dict[str, list[ContainerSample]] = defaultdict(list)
     where: dict[str, str] = {}
     for sample in samples:
@@ -195,7 +178,7 @@ def _uses(
         if name not in series or series[name][-1].at <= series[name][0].at:
             raise RunError(f"container '{name}' sent no samples; try again")
     used = {name: _cores(each) for name, each in series.items()}
-    found = {}
+    sources, targets = {}, {}
     for pair in PAIRS:
         source = series[pair.containers[0]]
         seconds = source[-1].at - source[0].at
@@ -206,8 +189,8 @@ def _uses(
             max(0.0, used[name] - used[silent]) * seconds / count * speeds[where[name]]
             for name, silent in zip(pair.containers, (TICKING, EMPTY), strict=False)
         ]
-        found[pair] = Use(spent[0], sum(spent[1:]))
-    return found, set(where.values())
+        sources[pair], targets[pair] = spent[0], sum(spent[1:])
+    return sources, targets, set(where.values())
 
 
 def _cores(samples: Sequence[ContainerSample]) -> float:
@@ -318,16 +301,12 @@ def calibrate(
     with steady(robot):
         computers, busy = _speeds(robot, chosen, seconds, check)
         costs, more = _costs(robot, seconds, check)
-    doubts = dict.fromkeys(doubt for doubt in (*busy, more) if doubt)
+    doubts = tuple(dict.fromkeys(filter(None, (*busy, more))))
     is_kept = force or not doubts
     if is_kept:
         _keep(robot, costs)
     return Calibration(
-        reference=chosen,
-        computers=computers,
-        costs=costs,
-        busy=tuple(doubts),
-        kept=is_kept,
+        reference=chosen, computers=computers, costs=costs, busy=doubts, kept=is_kept
     )
 
 
@@ -337,9 +316,7 @@ def _keep(robot: Robot, costs: Mapping[str, KindCosts]) -> None:
         store.add_costs(robot.name, costs)
     profile = own_profile(robot)
     if profile is not None:
-        path = Path(robot.folder) / robot.profile
-        calibrated = msgspec.structs.replace(profile, costs=costs)
-        write_whole(path, profile_file.to_text(calibrated))
+        write_profile(robot, replace(profile, costs=costs))
 
 
 def _speeds(

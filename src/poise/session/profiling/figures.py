@@ -6,7 +6,6 @@ from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
 
-import msgspec
 from msgspec import Struct, structs
 
 from poise.errors import last_error
@@ -35,7 +34,6 @@ from poise.wire.records.status_records import (
     ComponentStatus,
     ContainerSample,
     Summary,
-    TimerStatus,
 )
 
 
@@ -259,7 +257,7 @@ def figures(
                 for what, taken in _taken(timed.get(name), alone.get(name), speed)
                 if what not in typical.measured.connectors  # calls: `_connectors`
             },
-            repeat=speed * _range(runs, name),
+            repeat=speed * _spread(_means(runs, name)),
             stable=_is_stable(runs, name),
         )
     return Figures(
@@ -273,16 +271,15 @@ def _is_stable(runs: Sequence[Observed], name: str) -> bool:
     means = _means(runs, name)
     if not means or any(run.measured.undone.get(name, 0) > _UNDONE for run in runs):
         return False
-    return max(means) - min(means) <= max(AGREE_SHARE * max(means), AGREE_CORES)
+    return _spread(means) <= max(AGREE_SHARE * max(means), AGREE_CORES)
 
 
 def _means(runs: Sequence[Observed], name: str) -> list[float]:
     return [r.measured.cpu[name].mean for r in runs if name in r.measured.cpu]
 
 
-def _range(runs: Sequence[Observed], name: str) -> float:
-    means = _means(runs, name)
-    return max(means) - min(means) if means else 0.0
+def _spread(means: Sequence[float]) -> float:
+    return max(means, default=0.0) - min(means, default=0.0)
 
 
 def _total(run: Observed, names: Iterable[str]) -> float:
@@ -354,16 +351,12 @@ def _timers(status: ComponentStatus | None) -> dict[str, TimerProfile]:
             median=timer.duration.median,
             p99=timer.duration.p99,
             maximum=timer.duration.maximum,
-            missed=_missed(timer),
+            missed=(
+                None if timer.deadline is None else timer.missed / (timer.releases or 1)
+            ),
         )
         for timer in (status.timers if status else ())
     }
-
-
-def _missed(timer: TimerStatus) -> float | None:
-    if timer.deadline is None:
-        return None
-    return timer.missed / timer.releases if timer.releases else 0.0
 
 
 def _taken(
@@ -407,7 +400,7 @@ def _connectors(
             size = sizes.get(key, Summary())
             yield (
                 str(connector),
-                msgspec.structs.replace(
+                structs.replace(
                     used,
                     size=encoded.size if encoded else used.size,
                     median=size.median,

@@ -8,11 +8,10 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from contextlib import AbstractContextManager
 from pathlib import Path
 
-import msgspec
 from msgspec import Struct
+from msgspec.structs import replace
 
 from poise.errors import RunError, UsageError
-from poise.estimate import profiles as profile_file
 from poise.estimate.code_version import version_of
 from poise.estimate.profiles import WINDOW, Profile
 from poise.manage.agent_connections.statuses import components_of
@@ -22,7 +21,6 @@ from poise.manage.observe.sample_recording import Recording
 from poise.model.robot import Robot
 from poise.session import Check, Say, log, nothing
 from poise.session.arguments import check_duration, check_robot
-from poise.session.folders import write_whole
 from poise.session.last_seen import LastSeen
 from poise.session.launch.start import Sampling, Started, started
 from poise.session.profiling.figures import (
@@ -41,6 +39,7 @@ from poise.session.profiling.stored_profiles import (
     read_profile,
     steady,
     store_of,
+    write_profile,
 )
 from poise.session.run_records import silent_ports
 from poise.version import VERSION
@@ -130,7 +129,9 @@ def profile(  # noqa: PLR0913 - each is a choice of the user
     found = []
     with steady(robot):
         # what a core of the profile's machine does [loops/s]; 0: not known yet
-        reference = _loops_of_others(robot, computer) if architectures else 0.0
+        reference = 0.0
+        if architectures and (old := _earlier(robot, computer)):
+            reference = old.loops  # the new figures join those of others in it
         measuring = _Measuring(
             robot=robot,
             computer=computer,
@@ -149,9 +150,8 @@ def profile(  # noqa: PLR0913 - each is a choice of the user
     unrecorded = [name for each in found for name in each.unrecorded]
     new = measuring.profile([each.figures for each in found], unrecorded, reference)
     kept = _kept(robot, new)
-    return Profiling(
-        profile=kept, file=_write(robot, kept), silent=silent, unrecorded=unrecorded
-    )
+    file = write_profile(robot, kept)
+    return Profiling(profile=kept, file=file, silent=silent, unrecorded=unrecorded)
 
 
 def _chosen(robot: Robot, names: Sequence[str]) -> list[str]:
@@ -178,36 +178,12 @@ class _Found(Struct, frozen=True):
     unrecorded: Sequence[str]
 
 
-def _not_stable(runs: int, names: Sequence[str]) -> str:
-    """Return that the components left jobs undone, or differ from run to run."""
-    why = (
-        "one measurement, with jobs that were not done, or no figures"
-        if runs == 1
-        else f"{runs} measurements that differ, or had jobs that were not done"
-    )
-    return f"not stable: {', '.join(names)} ({why})"
-
-
-def _full(computer: str, share: float) -> str:
-    """Return that what was measured may need more than it got."""
-    return (
-        f"'{computer}' was full ({share:.0%} of its CPU): timers and calls may have "
-        "fallen behind, so CPU and rates may be too small: measure on a larger "
-        "computer (--on), or with less else running"
-    )
-
-
-def _loops_of_others(robot: Robot, computer: str) -> float:
-    """Return the `loops` of the profile that new figures join; 0: not known.
-
-    They are given for a core of its machine, as the others in it are.
-    """
+def _earlier(robot: Robot, computer: str) -> Profile | None:
+    """Return the profile that new figures of this computer join, if there is one."""
     old = read_profile(robot)
-    return old.loops if old is not None and _is_of(old, robot, computer) else 0.0
-
-
-def _is_of(profile: Profile, robot: Robot, computer: str) -> bool:
-    return (profile.robot, profile.computer) == (robot.name, computer)
+    if old is None or (old.robot, old.computer) != (robot.name, computer):
+        return None
+    return old
 
 
 class _Measuring(Struct, frozen=True, kw_only=True):
@@ -235,10 +211,19 @@ class _Measuring(Struct, frozen=True, kw_only=True):
         speed = self._speed(here, reference)
         sizes = self._run(apart, tick)
         if (full := how_full(runs, rig)) >= _FULL:
-            self.say(_full(rig.computer, full))
-        doubtful = disagreeing(runs, rig.measured)
-        if doubtful:
-            self.say(_not_stable(len(runs), doubtful))
+            self.say(
+                f"'{rig.computer}' was full ({full:.0%} of its CPU): timers and calls "
+                "may have fallen behind, so CPU and rates may be too small: measure on "
+                "a larger computer (--on), or with less else running"
+            )
+        if doubtful := ", ".join(disagreeing(runs, rig.measured)):
+            why = (
+                "one measurement, with jobs that were not done, or no figures"
+                if len(runs) == 1
+                else f"{len(runs)} measurements that differ, or had jobs that were not "
+                "done"
+            )
+            self.say(f"not stable: {doubtful} ({why})")
         versions = {
             c.name: version_of(c, *self.robot.folders) for c in self.robot.components()
         }
@@ -341,37 +326,29 @@ class _Measuring(Struct, frozen=True, kw_only=True):
 
 def _kept(robot: Robot, new: Profile) -> Profile:
     """Return the new profile with older figures of others, and add it to the store."""
-    merged = _merged(new, read_profile(robot), robot)
+    merged = _merged(new, _earlier(robot, new.computer), robot)
     with store_of(robot) as store:
         if not merged.costs:
             costs = store.latest_costs(robot.name)
-            merged = msgspec.structs.replace(merged, costs=costs)
+            merged = replace(merged, costs=costs)
         store.add(merged)
     return merged
 
 
 def _merged(new: Profile, old: Profile | None, robot: Robot) -> Profile:
     """Return the new profile with the older one's figures of other components."""
-    if old is None or not _is_of(old, robot, new.computer):
+    if old is None:
         return new
     names = {c.name for c in robot.components()}
     components = {n: c for n, c in old.components.items() if n in names}
     connectors = {str(c) for c in robot.all_connectors()}
     joined = {n: c for n, c in old.connectors.items() if n in connectors}
-    return msgspec.structs.replace(
+    return replace(
         new,
         components={**components, **new.components},
         connectors={**joined, **new.connectors},
         costs=old.costs,
     )
-
-
-def _write(robot: Robot, kept: Profile) -> Path | None:
-    if not robot.profile:
-        return None
-    path = Path(robot.folder) / robot.profile
-    write_whole(path, profile_file.to_text(kept))
-    return path
 
 
 def measure_alone(

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import msgspec
 from msgspec import Struct
+from msgspec.structs import replace
 
 from poise.errors import UsageError
 from poise.model.robot import (
@@ -26,11 +27,9 @@ from poise.model.robot import (
     Robot,
     Simulator,
 )
-from poise.runtime.component.implementation import find, search_also
-from poise.runtime.component.ports import ports_of
 from poise.runtime.replay import PlayedPort
 from poise.session.bag_workload import PlayedBag, played_bag, topic_name
-from poise.session.record_run import interface_type, message_type
+from poise.session.record_run import coded_ports, interface_type, message_type
 from poise.wire.bag_file import is_bag
 from poise.wire.recording_file import check_recorded, inputs_of
 
@@ -58,8 +57,8 @@ class Played(Struct, frozen=True):
                 if not (part.calls and source.rpartition(".")[0] in running)
             )
             if sources or part.generated:
-                parts[input_] = msgspec.structs.replace(part, sources=sources)
-        return msgspec.structs.replace(self, parts=parts, running=running)
+                parts[input_] = replace(part, sources=sources)
+        return replace(self, parts=parts, running=running)
 
     def covers(self, connector: Connector) -> bool:
         """Return whether what a connector brings is played."""
@@ -215,16 +214,13 @@ def rig_of(
     beside = {c.name: elsewhere for a in others for c in a.components}
     there = {*here, *beside}
     placement = _held_by_devices(rig, {**here, **beside}, (chosen, *others))
+    connectors = tuple(
+        connector
+        for connector in playing.connectors(robot)
+        if there.issuperset(end.component for end in connector.between)
+    )
     return ProfilingRig(
-        msgspec.structs.replace(
-            rig,
-            architectures=(chosen, *others),
-            connectors=tuple(
-                connector
-                for connector in playing.connectors(robot)
-                if there.issuperset(end.component for end in connector.between)
-            ),
-        ),
+        replace(rig, architectures=(chosen, *others), connectors=connectors),
         computer,
         placement,
         tuple(name for name in here if name != EMPTY),
@@ -239,34 +235,26 @@ def _emulated(robot: Robot, computer: str) -> tuple[Robot, str]:
     The chosen one has whole cores: CPU time is the same there, and a full computer
     would keep timers and calls from their rates.
     """
-    chosen = _with_whole_cores(robot.computer(computer))
+    chosen = robot.computer(computer)
+    cores = math.ceil(chosen.total("cpu") - _ROUNDING) / chosen.speed
+    chosen = replace(chosen, capacity={**chosen.capacity, "cpu": cores})
     total = sum(c.total("cpu") for c in robot.hosts)
     memory = sum(c.capacity["memory"] for c in robot.hosts)
     others = Computer(name=OTHERS, capacity={"cpu": total, "memory": memory})
-    rig = msgspec.structs.replace(
+    rig = replace(
         robot,
         computers=(chosen, others),
         links=(),
         # one machine emulates both, so its simulator reaches both
-        devices=tuple(
-            msgspec.structs.replace(device, computer=computer)
-            for device in robot.devices
-        ),
+        devices=tuple(replace(each, computer=computer) for each in robot.devices),
         simulator=_simulator(robot),
     )
     return rig, OTHERS
 
 
-def _with_whole_cores(computer: Computer) -> Computer:
-    cores = math.ceil(computer.total("cpu") - _ROUNDING) / computer.speed
-    return msgspec.structs.replace(
-        computer, capacity={**computer.capacity, "cpu": cores}
-    )
-
-
 def _real(robot: Robot, computer: str) -> tuple[Robot, str]:
     names = [c.name for c in robot.hosts if c.name != computer]
-    rig = msgspec.structs.replace(robot, simulator=_simulator(robot))
+    rig = replace(robot, simulator=_simulator(robot))
     return rig, names[0] if names else computer
 
 
@@ -297,11 +285,8 @@ def _apart(architecture: Architecture) -> Architecture:
         implementation="poise.runtime.component.component:Component",
         isolated=True,
     )
-    alone = (
-        msgspec.structs.replace(component, isolated=True)
-        for component in architecture.components
-    )
-    return msgspec.structs.replace(architecture, components=(*alone, empty))
+    alone = (replace(each, isolated=True) for each in architecture.components)
+    return replace(architecture, components=(*alone, empty))
 
 
 def _feeding(
@@ -342,8 +327,7 @@ def _needed(
 def _required(robot: Robot, name: str) -> set[str]:
     """Return the names of a component's required ports."""
     component = robot.component(name)
-    if not component.implementation:
-        return {port.name for port in component.ports if port.kind == "requires"}
-    search_also(robot.repository)
-    ports = ports_of(find(component.implementation, robot.folder)).values()
-    return {port.name for port in ports if port.kind == "requires"}
+    coded = coded_ports(robot, component)
+    kinds = {name: port.kind for name, port in coded.items()}
+    kinds = kinds or {port.name: port.kind for port in component.ports}
+    return {name for name, kind in kinds.items() if kind == "requires"}

@@ -53,6 +53,15 @@ def own_profile(robot: Robot) -> Profile | None:
     return profile
 
 
+def write_profile(robot: Robot, profile: Profile) -> Path | None:
+    """Write the profile that the robot file names; return its file, if it names one."""
+    if not robot.profile:
+        return None
+    path = Path(robot.folder) / robot.profile
+    write_whole(path, profile_file.to_text(profile))
+    return path
+
+
 def store_of(robot: Robot) -> Store:
     """Return the store of all profiles of the robots in this folder."""
     return Store(Path(robot.folder) / STORE)

@@ -46,7 +46,7 @@ def simulation_parts(report: SimulationReport) -> Iterator[RenderableType]:
     for guess in report.guesses[:MOST_ROWS]:
         yield f"[yellow]assumed: {escape(guess)}[/]"
     yield from _more(len(report.guesses), "assumption")
-    yield took(report)
+    yield _took(report)
 
 
 def verdict(report: SimulationReport) -> str:
@@ -81,7 +81,7 @@ def ended_early(report: SimulationReport) -> bool:
     return report.seconds < report.asked - _EARLY
 
 
-def took(report: SimulationReport) -> str:
+def _took(report: SimulationReport) -> str:
     """Return how much quicker than real time it was, and with which seed."""
     times = f", {report.ratio:.3g} times real time" if report.took else ""
     return (
@@ -182,18 +182,18 @@ def _computers(report: SimulationReport) -> Table:
         "computer", "CPU mean", "peak", "memory", "components at first", folds=4
     )
     for load in report.loads:
-        here = (c for c, at in report.placement.items() if at == load.computer)
-        rows.add_row(
-            escape(load.computer),
-            f"{load.cpu:.1%}",
-            f"{load.peak:.1%}",
-            memory(load),
-            escape(", ".join(sorted(here))),
-        )
+        shares = f"{load.cpu:.1%}", f"{load.peak:.1%}"
+        here = escape(_components_on(report, load.computer))
+        rows.add_row(escape(load.computer), *shares, _memory(load), here)
     return rows
 
 
-def memory(load: SimulatedLoad) -> str:
+def _components_on(report: SimulationReport, computer: str) -> str:
+    here = (name for name, at in report.placement.items() if at == computer)
+    return ", ".join(sorted(here))
+
+
+def _memory(load: SimulatedLoad) -> str:
     """Return the most memory that a computer needed, and what it has if known."""
     has = load.memory_capacity
     known = f" of {format_bytes(has)}" if has is not None and isfinite(has) else ""
@@ -310,7 +310,7 @@ def comparison_page(results: Mapping[str, SimulationReport], figures: str) -> st
 
 def _pictures(report: SimulationReport) -> Iterator[str]:
     yield f'<p class="verdict">{html.escape(verdict(report))}</p>'
-    yield f"<p>{html.escape(took(report))}</p>"
+    yield f"<p>{html.escape(_took(report))}</p>"
     yield "<h2>Over time</h2>"
     yield _ABOUT_TIME
     yield simulation_picture(report)
@@ -367,9 +367,8 @@ def _late(report: SimulationReport) -> Iterator[str]:
 
 def _placed(report: SimulationReport) -> Iterator[tuple[str, ...]]:
     for load in report.loads:
-        here = (c for c, at in report.placement.items() if at == load.computer)
-        cpu = f"{load.cpu:.1%} ({load.peak:.1%})"
-        yield html.escape(load.computer), cpu, html.escape(", ".join(sorted(here)))
+        cpu, here = f"{load.cpu:.1%} ({load.peak:.1%})", load.computer
+        yield html.escape(here), cpu, html.escape(_components_on(report, here))
 
 
 def _happened(report: SimulationReport) -> Iterator[str]:

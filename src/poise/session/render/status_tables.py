@@ -86,9 +86,12 @@ def status_parts(status: RobotStatus) -> Iterator[RenderableType]:
     yield from chain_tables(status.chains)
     yield from _old_chains(status)
     yield computer_table(status)
-    growing, containers = growing_containers(status), container_lines(status)
-    failing = failed_calls(connectors_of(status.computers))
-    for line in (*growing, *containers, *failing, *_notices(status)):
+    for line in (
+        *growing_containers(status),
+        *container_lines(status),
+        *failed_calls(connectors_of(status.computers)),
+        *_notices(status),
+    ):
         yield Text(line, style="yellow")
 
 
@@ -269,15 +272,15 @@ def _remarks(
         last = last_error(component.error)
         which = f" ({escape(last)})" if last else ""
         yield f"{counted(component.errors, 'error')}{which}"
-    if component.state != "active":
-        standing = None  # what it lacked when it was at work
-    if standing is not None and standing.estimate.starved:
-        why = f" ({culprit})" if culprit else ""
-        yield f"starved {standing.estimate.starved:.0%}{why}"
-    if standing is not None and standing.estimate.long_job:
-        what = f"'{component.handler}'" if component.handler else "a job"
-        lasted = format_seconds(standing.estimate.long_job)
-        yield f"{what} has computed for {lasted} and not ended"
+    if standing is not None and component.state == "active":  # not when it was so
+        now = standing.estimate
+        if now.starved:
+            why = f" ({culprit})" if culprit else ""
+            yield f"starved {now.starved:.0%}{why}"
+        if now.long_job:
+            what = f"'{component.handler}'" if component.handler else "a job"
+            lasted = format_seconds(now.long_job)
+            yield f"{what} has computed for {lasted} and not ended"
     for timer in component.timers:
         if timer.deadline is not None and timer.missed:
             missed = f"{timer.missed:,} of {timer.releases:,} deadlines"

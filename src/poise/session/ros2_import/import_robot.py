@@ -87,16 +87,8 @@ _SHARE, _FEWEST = 0.8, 5
 """So many stamps of an output are those of an input, if it passes them on."""
 
 
-class StampedChain(Struct, frozen=True, kw_only=True):
-    """Nodes along which a stamp is passed on, and its age on the last topic."""
-
-    topic: str
-    nodes: tuple[str, ...]
-    age: Age | None
-
-
-def chains_of(topics: Sequence[Topic]) -> Iterator[StampedChain]:
-    """Yield the longest chains, each with a subscriber of its last topic at its end."""
+def chains_of(topics: Sequence[Topic]) -> Iterator[tuple[str, list[str], Age | None]]:
+    """Yield the longest chains: last topic, nodes to a subscriber of it, age there."""
     for topic in topics:
         for flow in topic.flows:
             if _next_of(flow, topic, topics):
@@ -104,9 +96,7 @@ def chains_of(topics: Sequence[Topic]) -> Iterator[StampedChain]:
             nodes = _back_from(flow, topics, ())
             for last in topic.subscribers:
                 if len(nodes) > 1 and last not in nodes:
-                    yield StampedChain(
-                        topic=topic.name, nodes=(*nodes, last), age=flow.age
-                    )
+                    yield topic.name, [*nodes, last], flow.age
 
 
 def _back_from(
@@ -178,7 +168,8 @@ class RobotText:
     def _head(self) -> Iterator[str]:
         graph = self._graph
         took = f"{graph.own_cpu:.1%} of a core itself"
-        yield f"# Written by `poise ros2 import`, which watched {_nodes(graph)}"
+        nodes = f"{len(self._component)} nodes in {len(graph.processes)} processes"
+        yield f"# Written by `poise ros2 import`, which watched {nodes}"
         yield f"# for {graph.seconds:.0f} s and took {took}. It does not see how"
         yield "# deep queues are, how often services are called, or peaks of CPU."
         yield "# Each node is an architecture: so it can have a `priority` of its own,"
@@ -284,14 +275,14 @@ class RobotText:
 
     def _chains(self) -> Iterator[str]:
         lines = []
-        for chain in chains_of(self._graph.topics):
-            nodes = [self._component.get(node) for node in chain.nodes]
-            through = [node for node in dict.fromkeys(nodes) if node]
-            if len(through) > 1 and chain.age:
+        for topic, nodes, age in chains_of(self._graph.topics):
+            components = dict.fromkeys(map(self._component.get, nodes))
+            through = [component for component in components if component]
+            if len(through) > 1 and age:
                 keys = {"through": through, "deadline": "?"}
-                ages = f"median {format_seconds(chain.age.median)}, "
-                ages += f"99 % within {format_seconds(chain.age.p99)}"
-                line = f"{name_of(chain.topic)}: {_flow(keys)}"
+                ages = f"median {format_seconds(age.median)}, "
+                ages += f"99 % within {format_seconds(age.p99)}"
+                line = f"{name_of(topic)}: {_flow(keys)}"
                 lines.append(f"#   {line} # age at arrival: {ages}")
         if lines:
             yield "# Stamps are passed on along these chains; set their deadlines:"
@@ -328,11 +319,6 @@ def _unique_names(processes: Sequence[NodeProcess]) -> dict[int, str]:
 
 def _device(path: str) -> str:
     return name_of(path.removeprefix("/dev/"))
-
-
-def _nodes(graph: Graph) -> str:
-    count = sum(len(process.nodes) for process in graph.processes)
-    return f"{count} nodes in {len(graph.processes)} processes"
 
 
 def _traffic(flow: Flow) -> dict[str, str]:

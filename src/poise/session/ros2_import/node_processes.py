@@ -130,7 +130,8 @@ class ProcessUsage:
 def describe(pid: int, nodes: tuple[str, ...], usage: ProcessUsage) -> NodeProcess:
     """Return what `/proc` says of a process."""
     folder = Path(f"/proc/{pid}")
-    environment = _pairs(_words(folder / "environ"))
+    variables = (word.partition("=") for word in _words(folder / "environ"))
+    environment = {name: value for name, _, value in variables}
     arguments = _words(folder / "cmdline")
     if arguments and "/" not in arguments[0]:
         path = shutil.which(arguments[0], path=environment.get("PATH"))
@@ -155,10 +156,6 @@ def _words(file: Path) -> tuple[str, ...]:
     except OSError:
         return ()
     return tuple(text.removesuffix("\0").split("\0")) if text else ()
-
-
-def _pairs(words: Iterable[str]) -> dict[str, str]:
-    return {name: value for name, _, value in (word.partition("=") for word in words)}
 
 
 def devices_of(pid: int) -> tuple[str, ...]:

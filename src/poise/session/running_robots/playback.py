@@ -94,7 +94,9 @@ def play(
             "play` plays it, and the robot's bridges and nodes hear it"
         )
     component = cache(connect(robot).component)  # asks the manager whether it is there
-    _check_ports(Path(path), only)
+    known = set(map(_source, said_in(Path(path)))) if only else set()
+    if unknown := {*only} - known:
+        raise UsageError(f"{path} has nothing of {', '.join(sorted(unknown))}")
     messages, skipped = Counter[str](), dict[str, str]()
     used: dict[str, str] = {}
     """Port -> the connector whose messages are played: others have the same."""
@@ -124,14 +126,6 @@ def play(
             "connectors that it is given"
         )
     return Playback(messages=messages, skipped=skipped, behind=behind)
-
-
-def _check_ports(path: Path, only: Collection[str]) -> None:
-    """Raise UsageError for ports of which nothing was recorded."""
-    if not only:
-        return
-    if unknown := set(only).difference(map(_source, said_in(path))):
-        raise UsageError(f"{path} has nothing of {', '.join(sorted(unknown))}")
 
 
 def _in_order(said: Iterable[Said]) -> Iterator[Said]:

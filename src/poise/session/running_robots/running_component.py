@@ -126,9 +126,9 @@ class RunningComponent:
         try:
             return unpack(answer.value, returns)
         except WireError as error:
-            raise UsageError(
-                f"'{self.name}.{port}' returned no {_name(returns)}: {error}"
-            ) from error
+            what = getattr(returns, "__qualname__", str(returns))
+            returned = f"'{self.name}.{port}' returned no {what}: {error}"
+            raise UsageError(returned) from error
 
     def interface(self, port: str, type_: type[I], *, limit: float = 1.0) -> I:
         """Return its interface at a port, to be called as a component calls it.
@@ -239,12 +239,9 @@ class RunningComponent:
         return dict(unpack(self._sent(command, PARAMETERS).value))
 
     def _ask(self, port: str, method: str, value: object, limit: float) -> PortAnswer:
+        packed = _packed(value)
         command = PortCommand(
-            component=self.name,
-            port=port,
-            method=method,
-            value=_packed(value),
-            limit=limit,
+            component=self.name, port=port, method=method, value=packed, limit=limit
         )
         return self._sent(command, port)
 
@@ -299,7 +296,3 @@ def _packed(value: object) -> Packed:
         return pack(value)
     except WireError as error:
         raise UsageError(str(error)) from error
-
-
-def _name(type_: object) -> str:
-    return getattr(type_, "__qualname__", str(type_))
