@@ -21,7 +21,19 @@ def temporary_folder() -> Path:
     return Path(named if is_usable else "/tmp")  # noqa: S108 - callers check owner and mode
 
 
-def write_private(path: Path, data: bytes) -> None:
-    """Write a file that, if it is new, nobody else can read."""
-    with open(path, "wb", opener=lambda name, flags: os.open(name, flags, 0o600)) as to:
-        to.write(data)
+def write_whole(path: Path, data: bytes, modified: float | None = None) -> None:
+    """Write a file that nobody else can read, whole or not at all; OSError.
+
+    `modified`: its time, if that is not to be now [s].
+    """
+    draft = path.with_suffix(".new")
+    try:
+        fd = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
+        with os.fdopen(fd, "wb") as file:
+            file.write(data)
+        if modified is not None:
+            os.utime(draft, (modified, modified))
+        draft.replace(path)
+    except BaseException:  # nothing half done stays, whatever ends it
+        draft.unlink(missing_ok=True)
+        raise

@@ -30,6 +30,7 @@ from poise.emulate.limits import Limits, share_out
 from poise.emulate.processes import PREFIX, Owner, marked, stop
 from poise.errors import PoiseError, RunError, UsageError
 from poise.model.robot import Robot
+from poise.user_folders import write_whole
 
 FOLDER = "POISE_EMULATIONS"
 """The environment variable that names the registry's folder."""
@@ -115,13 +116,9 @@ def read(run: str) -> EmulationLayout | None:
 
 def write(layout: EmulationLayout) -> None:
     """Write an entry, or what has changed in it."""
-    # Atomic: a partial entry would hide the rest for ever.
-    draft = _entry(layout.run).with_suffix(".draft")
     try:
-        draft.write_bytes(msgspec.json.encode(layout))
-        draft.rename(_entry(layout.run))
+        write_whole(_entry(layout.run), msgspec.json.encode(layout))
     except OSError as error:
-        draft.unlink(missing_ok=True)
         raise RunError(f"an emulation cannot be written down: {error}") from error
 
 

@@ -17,13 +17,13 @@ from pathlib import Path
 import msgspec
 
 from poise import threads
-from poise.clock import Clock, boot_id
+from poise.clock import Clock, boot_id, boot_time
 from poise.decoding import from_msgpack
 from poise.errors import RunError, UsageError
 from poise.runtime.agent.surroundings import AgentState, Reply
 from poise.runtime.container.account import Account, rights_of
 from poise.runtime.hosting.output import forget_output, read_output
-from poise.user_folders import write_private
+from poise.user_folders import write_whole
 from poise.wire.codec import MALFORMED
 from poise.wire.records.deployment_records import Deployment
 from poise.wire.records.request_records import (
@@ -34,7 +34,6 @@ from poise.wire.records.request_records import (
     Refused,
     age_of,
     checkpoint_path,
-    set_age,
 )
 from poise.wire.robots_here import AgentAddresses, forget, hold, note, noted_of
 
@@ -49,7 +48,6 @@ class AgentFolder:
         hold(folder)  # for as long as anything that is forked here lives
         self._lock = os.open(folder / "lock", os.O_RDWR | os.O_CREAT, 0o600)
         self._boot = boot_id()
-        self._saved = AgentState()
         self.trouble = ""
         try:
             # a lock of this process alone: what it forks does not hold it
@@ -78,16 +76,11 @@ class AgentFolder:
         return state if is_valid else AgentState()
 
     def keep(self, state: AgentState) -> None:
-        """Keep what the next agent must know, if it changed; `trouble` says why not."""
+        """Keep what the next agent must know; `trouble` says why not."""
         state = msgspec.structs.replace(state, boot=self._boot)
-        if state == self._saved:
-            return
-        new = self._path.with_suffix(".new")
         try:
-            write_private(new, msgspec.msgpack.encode(state))
-            new.replace(self._path)
+            write_whole(self._path, msgspec.msgpack.encode(state))
         except OSError as error:
-            self._saved = AgentState()
             self.trouble = (
                 f"the agent cannot save its deployment: {error}; if it is killed, the "
                 "next one waits for its manager"
@@ -95,7 +88,7 @@ class AgentFolder:
             with contextlib.suppress(OSError):
                 self.forget()  # better nothing than what holds no more
         else:
-            self._saved, self.trouble = state, ""
+            self.trouble = ""
 
     def forget(self) -> None:
         """Leave nothing for the next agent."""
@@ -186,13 +179,7 @@ class CheckpointFiles:
     def write(self, copy: CheckpointCopy) -> None:
         """Keep a copy for a component that is to start here; OSError: there is none."""
         path = checkpoint_path(self._folder, copy.component, copy.epoch)
-        draft = path.with_suffix(".new")
-        try:
-            write_private(draft, copy.data or b"")
-            set_age(draft, copy.age)
-            draft.replace(path)
-        finally:
-            draft.unlink(missing_ok=True)
+        write_whole(path, copy.data or b"", boot_time() - copy.age)
 
     def age(self, component: str, epoch: int) -> float | None:
         """Return the age of a checkpoint [s]; None: there is none. No disk is used."""

@@ -12,13 +12,13 @@ from typing import Any
 
 from msgspec import Struct
 
-from poise.clock import Clock
+from poise.clock import Clock, boot_time
 from poise.errors import RunError
 from poise.runtime.component.component import Component
 from poise.runtime.connectors.latest import LatestMessages
 from poise.runtime.execution.container_lease import LeaseEnd, check_lease
 from poise.runtime.migration.state_check import check_fits, describe_type, type_taken_by
-from poise.user_folders import write_private
+from poise.user_folders import write_whole
 from poise.wire import frame
 from poise.wire.codec import Codec, WireError, codec
 from poise.wire.frame import FrameKind
@@ -93,7 +93,7 @@ class Checkpoints:
             frame.parse(checkpoint.state).value(codec(type(state)))
         check_lease(self._lease, self._component)
         if data != self._before or not self._is_renewed():
-            self._replace(data)
+            write_whole(self._path, data, boot_time())
             self._before = data
         self.cost = self._clock.now() - began
         if self.cost > self._every:
@@ -109,15 +109,6 @@ class Checkpoints:
         except FileNotFoundError:
             return False
         return True
-
-    def _replace(self, data: bytes) -> None:
-        new = self._path.with_suffix(".new")
-        try:
-            write_private(new, data)
-            set_age(new)
-            new.replace(self._path)
-        finally:
-            new.unlink(missing_ok=True)
 
     def restore(self, component: Component, latest: LatestMessages) -> float | None:
         """Restore the state that was kept; return its age [s], None: there is none."""
