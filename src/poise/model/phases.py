@@ -43,26 +43,6 @@ MOST_ROUNDS = 10**6
 """A larger number of rounds or retries counts as this."""
 
 
-def seconds_of(action: Action) -> float:
-    """Return how long an action is expected to last [s]: its limit."""
-    return SECONDS if action.limit is None else action.limit
-
-
-def rounds_of(repeat: Repeat) -> int:
-    """Return how often steps are expected to be repeated."""
-    return min(ROUNDS if repeat.times is None else repeat.times, MOST_ROUNDS)
-
-
-def success_of(robot: Robot, action: Action) -> float:
-    """Return how often an action is expected to succeed, in (0, 1].
-
-    As was learned; where nothing was, `SUCCESS` if the task says what is done when it
-    fails, else always.
-    """
-    unknown = 1.0 if action.on_failure == "give up" else SUCCESS
-    return robot.success.get(action.name, unknown)
-
-
 def promise_of(robot: Robot, action: Action) -> float:
     """Return quality x success of the best architectures for an action."""
     return prod(
@@ -98,7 +78,8 @@ def assumed(robot: Robot, task: str) -> Iterator[str]:
     actions = [step for step in steps if isinstance(step, Action)]
     timeless = [a.name for a in actions if a.limit is None]
     if timeless:
-        whose = "every action" if len(timeless) == len(actions) else _listed(timeless)
+        is_all = len(timeless) == len(actions)
+        whose = "every action" if is_all else " or ".join(timeless)
         yield f"{whose} takes {SECONDS:g} s, as it has no limit"
     unknown = [
         a.name
@@ -106,15 +87,12 @@ def assumed(robot: Robot, task: str) -> Iterator[str]:
         if a.on_failure != "give up" and a.name not in robot.success
     ]
     if unknown:
-        yield f"{_listed(unknown)} succeeds every other time, as nothing is learned"
+        names = " or ".join(unknown)
+        yield f"{names} succeeds every other time, as nothing is learned"
     if any(isinstance(step, Choice) for step in steps):
         yield "steps of a choice are taken in proportion to what they promise"
     if any(isinstance(step, Repeat) and step.times is None for step in steps):
         yield f"repetitions without a number of times are done {ROUNDS} times"
-
-
-def _listed(names: list[str]) -> str:
-    return " or ".join(names)
 
 
 MOST_PHASES = 100
@@ -239,8 +217,10 @@ class _Flows:
                 flows = [self._of(step, tasks) for step in steps]
                 return _either(flows, shares_of(self._robot, step))
         once = self._of_sequence(step.steps, tasks)
-        rounds = rounds_of(step) if isinstance(step, Repeat) else 1
-        return once if rounds == 1 else _again(once, rounds)
+        if not isinstance(step, Repeat) or step.times == 1:
+            return once
+        rounds = ROUNDS if step.times is None else min(step.times, MOST_ROUNDS)
+        return _again(once, rounds)
 
     def _of_sequence(self, steps: Iterable[Step], tasks: tuple[str, ...]) -> _Flow:
         whole, *others = (self._of(step, tasks) for step in steps)
@@ -264,9 +244,11 @@ class _Flows:
         retry, then = 0, action.on_failure
         if isinstance(then, Retry):
             retry, then = min(then.times, MOST_ROUNDS), then.then
-        fails = 1 - success_of(self._robot, action)
+        unknown = 1.0 if action.on_failure == "give up" else SUCCESS
+        fails = 1 - self._robot.success.get(action.name, unknown)
         failed = fails ** (retry + 1)
-        lasts = seconds_of(action) * _series(fails, retry + 1)
+        once = SECONDS if action.limit is None else action.limit
+        lasts = once * _series(fails, retry + 1)
         own = _Flow({node: lasts}, {}, {node: 1.0}, {node: 1 - failed})
         if then == "give up":
             return own
@@ -311,12 +293,10 @@ def _at_once(flows: Iterable[_Flow]) -> _Flow:
     """Return steps at once: while one is somewhere, another may be anywhere."""
     one, *others = flows
     for two in others:
-        if len(one.lasts) * len(two.lasts) > MOST_PHASES:
-            raise TooManyPhasesError(f"a task has more than {MOST_PHASES} phases")
         lasts = max(sum(one.lasts.values()), sum(two.lasts.values()))
         here, there = _shares(one.lasts), _shares(two.lasts)
         one = _Flow(
-            _both(here, there, lasts),
+            _within(_both(here, there, lasts)),
             {
                 (a + c, b + c): often * share
                 for ((a, b), often), (c, share) in product(
@@ -388,11 +368,11 @@ def clashes(robot: Robot, actions: Iterable[Action]) -> Iterator[Clash]:
             yield Clash(kind="device", name=device.name, users=users)
 
 
-def needs_device(architecture: Architecture, device: str) -> bool:
-    """Return whether some component of an architecture needs a device."""
-    return any(device in component.devices for component in architecture.components)
-
-
 def _always_needs(robot: Robot, function: str, device: str) -> bool:
     every = [a for a in robot.architectures if a.function == function]
     return bool(every) and all(needs_device(a, device) for a in every)
+
+
+def needs_device(architecture: Architecture, device: str) -> bool:
+    """Return whether some component of an architecture needs a device."""
+    return any(device in component.devices for component in architecture.components)

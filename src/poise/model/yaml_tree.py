@@ -10,7 +10,6 @@ import pathlib
 import re
 import stat
 from collections.abc import Iterable, Iterator, Mapping
-from typing import Protocol
 
 import yaml
 from msgspec import Struct
@@ -160,8 +159,9 @@ class _Builder:
 
     def _next(self) -> yaml.Event:
         event: yaml.Event = self._events.get_event()  # type: ignore[no-untyped-call]
-        assert event.start_mark is not None  # noqa: S101 - it is of a text
-        self.last = _place(self._file, event.start_mark)
+        mark = event.start_mark
+        assert mark is not None  # noqa: S101 - it is of a text
+        self.last = Location(self._file, mark.line + 1, mark.column + 1)
         return event
 
     def _node(self, event: yaml.Event, key: Location | None, depth: int) -> Node:
@@ -172,7 +172,10 @@ class _Builder:
         assert isinstance(event, yaml.ScalarEvent | yaml.CollectionStartEvent)  # noqa: S101
         if event.anchor is not None:
             self._anchors[event.anchor] = None
-        self._check_tag(event.tag, place)
+        if event.tag is not None:
+            written = quoted(event.tag.replace(_YAML, "!!"))
+            text = f"YAML tags are not supported: {written}; a text goes in quotes"
+            self._wrong(place, text)
         node = Node(place, self._value(event, place, depth))
         if event.anchor is not None:
             self._anchors[event.anchor] = node
@@ -184,7 +187,9 @@ class _Builder:
         if isinstance(event, yaml.MappingStartEvent):
             return dict(self._entries(depth))
         if isinstance(event, yaml.ScalarEvent):
-            self._check_text(event.value, place)
+            if _NO_TEXT.search(event.value):
+                text = f"{quoted(event.value)} contains a character that is not allowed"
+                self._wrong(place, text)
             return Scalar(event.value, plain=not event.style)
         return list(self._items(depth))
 
@@ -200,18 +205,13 @@ class _Builder:
             self._count -= 1  # only values count
             value = self._node(self._next(), place, depth + 1)
             if not isinstance(key, Scalar):
-                text = "a key must be a word, not a list or mapping"
-                self._problems.append(place.problem(text))
+                self._wrong(place, "a key must be a word, not a list or mapping")
             elif key == Scalar("<<", plain=True):
                 text = "merge keys (<<) are not supported: write the keys themselves"
-                self._problems.append(place.problem(text))
+                self._wrong(place, text)
             elif key.text in first:
-                self._problems.append(
-                    place.problem(
-                        f"the key {quoted(key.text)} is defined twice, "
-                        f"first at {first[key.text]}"
-                    )
-                )
+                once = f"is defined twice, first at {first[key.text]}"
+                self._wrong(place, f"the key {quoted(key.text)} {once}")
             else:
                 first[key.text] = place
                 yield key.text, value
@@ -241,42 +241,20 @@ class _Builder:
         if self._count > MOST:
             raise _Bad(place.problem(f"more than {MOST} values, with those of aliases"))
 
-    def _check_text(self, text: str, place: Location) -> None:
-        if _NO_TEXT.search(text):
-            self._problems.append(
-                place.problem(
-                    f"{quoted(text)} contains a character that is not allowed"
-                )
-            )
-
-    def _check_tag(self, tag: str | None, place: Location) -> None:
-        if tag is not None:
-            written = quoted(tag.replace(_YAML, "!!"))
-            text = f"YAML tags are not supported: {written}; a text goes in quotes"
-            self._problems.append(place.problem(text))
-
-
-class _Mark(Protocol):
-    """PyYAML's mark, of its parser in C or in Python; counts from 0."""
-
-    line: int
-    column: int
-
-
-def _place(file: str, mark: _Mark) -> Location:
-    return Location(file, mark.line + 1, mark.column + 1)
+    def _wrong(self, place: Location, text: str) -> None:
+        self._problems.append(place.problem(text))
 
 
 def _syntax_problem(error: yaml.MarkedYAMLError, file: str) -> FileProblem:
     mark = error.problem_mark or error.context_mark
-    place = _place(file, mark) if mark else Location(file, 1, 1)
+    line, column = (mark.line, mark.column) if mark else (0, 0)
     parts = [error.context, error.problem]
     text = "not YAML: " + ", ".join(p for p in parts if p)
     if "mapping values" in text:
         text += " (is it indented too far, or is a `{` or quote before it stray?)"
     if "cannot start any token" in text:
         text += " (is it a tab, or a `@`, `%` or '`' without quotes around the text?)"
-    return place.problem(text)
+    return Location(file, line + 1, column + 1).problem(text)
 
 
 Path = tuple[str | int, ...]
