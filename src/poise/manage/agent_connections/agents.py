@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Self
 
 from msgspec.structs import replace
@@ -176,9 +177,8 @@ class Agents(AgentReports):
         """Store what an agent reported.
 
         One that obeys another manager answers the heartbeats of that one only: for this
-        one it would be out of reach for ever, also once that manager is gone. If it did
-        not vote for this manager, the end of its lease is known already, and does not
-        change.
+        one it would be out of reach for ever. If it did not vote for this manager, the
+        end of its lease is known already, and does not change.
         """
         manager = status.manager
         if manager is not None and manager.key != self.manager.key:
@@ -208,11 +208,9 @@ class Agents(AgentReports):
             )
 
     def wait_at_work(self, limit: float, check: Callable[[], object] = nothing) -> bool:
-        """Return whether components run; computers that are missing are lost then.
+        """Return whether components run; who is missing after `limit` [s] is lost.
 
         Where managers are voted for, a majority is waited for, and the others a moment.
-
-        `limit`: all are there within this time, or missing [s].
         """
         everyone, votes = set(self._endpoints), self._claims.votes
 
@@ -238,8 +236,8 @@ class Agents(AgentReports):
     ) -> dict[str, Deployment]:
         """Let the agents of `computers` obey this manager, and no other.
 
-        One after the other in the order of their names: of two managers that start at
-        the same time, one gets the first agent, and the other none.
+        In the order of their names: of two managers that start at the same time, one
+        gets the first agent, and the other none.
         """
         deployments = {}
         self._claims.begin_term(self.statuses().values())
@@ -251,18 +249,14 @@ class Agents(AgentReports):
                 self._note_signs(self._endpoints.keys() - self.reached(), [answer])
             if answer.deployment is not None:
                 deployments[computer] = answer.deployment
-            self.wait_news(
-                lambda c=computer: self.obey(c),  # type: ignore[misc]
-                ANSWER_LIMIT,
-            )
+            self.wait_news(partial(self.obey, computer), ANSWER_LIMIT)
         return deployments
 
     def elect(self, *, take_over: bool = False) -> dict[str, Claimed]:
         """Become the leader by a majority of votes; return the answers of agents.
 
-        They are only asked first: nothing changes while a majority obeys another one.
-        Raises RunError: not enough agents accept this manager; AlreadyManaged: most of
-        them obey another one.
+        They are only asked first: nothing changes while a majority obeys another one
+        (AlreadyManaged), or does not accept this one (RunError).
         """
         self._claims.begin_term(self.statuses().values())
         votes = self._claims.votes
@@ -293,10 +287,7 @@ class Agents(AgentReports):
         return answers
 
     def _note_signs(self, away: Iterable[str], answers: Collection[Claimed]) -> None:
-        """Note when others heard agents that are out of reach, or their manager, last.
-
-        It may have extended their leases until then.
-        """
+        """Note when others heard agents, or their manager, last: it extends leases."""
         for name in away:
             signs = (a.silent.get(n, 0.0) for a in answers for n in (name, MANAGER))
             self.heartbeats.note_ended(name, min(signs))
@@ -410,8 +401,8 @@ class Agents(AgentReports):
     def revoke(self, computers: Iterable[str]) -> bool:
         """Obtain that components of lost computers may be started elsewhere.
 
-        From then on the agents of these computers are to be claimed again. It fails,
-        and changes nothing, while the lease of one may not have ended yet.
+        Their agents are to be claimed again then. It fails, and changes nothing, while
+        the lease of one may not have ended yet.
         """
         names = tuple(computers)
         tokens = {name: self._claims.tokens.get(name, 0) for name in names}

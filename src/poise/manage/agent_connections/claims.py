@@ -132,8 +132,8 @@ def gives_way_to(
 
     It is a later one that an agent obeys, or one that all agents obey which this one
     has claimed. So of two managers one gives way, whatever each of them sees. Also when
-    the other is gone, if it told an agent of this one what should run: this one does
-    not know what it moved, and would undo it.
+    the other is gone, if it told an agent of this one what should run: this one would
+    undo it.
 
     `told`: computer -> the last generation that this one told its agent, or found.
     """

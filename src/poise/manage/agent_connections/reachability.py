@@ -209,10 +209,7 @@ class AgentHeartbeats:
             return have_ended
 
     def next_beat(self) -> tuple[Heartbeat, float]:
-        """Judge all agents; return what to send, and when to do so again [s].
-
-        All that came was taken in before.
-        """
+        """Judge agents by what came; return what to send, and the pause then [s]."""
         now = self._clock.now()
         with self._lock:
             self._measure(now)
@@ -288,10 +285,7 @@ class AgentHeartbeats:
         ]
 
     def _last_sign(self, computer: str, now: float) -> float:
-        """Return when an agent that is not judged seems to have ended [s].
-
-        Its connection may only be cut: what others hear of it later counts.
-        """
+        """Return when an agent that is not judged ended, or others heard it [s]."""
         relayed = self._contacts.relayed(computer, now)
         ended_at = self._ended_at.get(computer, now)
         return max(ended_at, relayed[1]) if relayed else ended_at

@@ -1,7 +1,6 @@
 """What agents reported, and which of them are there.
 
-zenoh's threads only store what arrives, in structures whose size is bounded; the
-manager's own threads wait for it here.
+zenoh's threads only store it, in bounded structures; the manager's own wait for it.
 """
 
 from __future__ import annotations
@@ -24,7 +23,6 @@ from poise.wire.records.status_records import AgentStatus
 
 S = TypeVar("S")
 
-
 LOOK_EVERY = 0.1
 """How often is checked what may end a wait [s]."""
 MOST_REFUSED = 100
@@ -36,16 +34,10 @@ def nothing() -> None:
 
 
 class CheckpointCopies:
-    """The last checkpoints of components, as agents sent them. Any thread may ask.
-
-    Each incarnation has its own: a later one may have to end before it is at work, and
-    the one before goes on.
-
-    `clock`: returns the time [s].
-    """
+    """The last checkpoints of incarnations, as agents sent them, for any thread."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        self._clock = clock
+        self._clock = clock  # [s]
         self._lock = threading.Lock()
         self._copies: dict[tuple[str, int], tuple[CheckpointCopy, float]] = {}
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import queue
 from collections.abc import Callable, Iterator, Mapping
-from functools import partial
 from queue import Empty
 from typing import TypeVar
 
@@ -30,14 +29,12 @@ K = TypeVar("K")
 ANSWER_LIMIT = 2.0
 """An agent answers a claim or deployment within this time [s]."""
 SEND_LIMIT = 2 * ANSWER_LIMIT
-"""A claim or deployment that is not answered is sent again within this time [s]: the
-connection may just be made again, and receiving one twice is harmless."""
+"""A claim that is not answered is sent again within this time [s]: to receive one twice
+is harmless."""
 _LAST_REPLY = 1.0
 """zenoh reports within this time after the steps' limit that no answer came [s]."""
 LOSS_DELAY = 0.5
 """The loss of an agent is known this long [s] after its connection ends, at most."""
-
-
 _LEAST_BANDWIDTH = 1e6
 """A state is sent at this rate at least [bytes/s]."""
 
@@ -60,14 +57,11 @@ def why_not_kept(copy: CheckpointCopy, answer: Answer | None) -> str:
 
 
 class PendingAnswer:
-    """The answer of an agent to one request, once it is there; any thread may look.
-
-    `answer`: what the agent answered; None: nothing yet, or nothing at all.
-    """
+    """The answer of an agent to one request, once it is there; any thread may look."""
 
     def __init__(self, token: int = 0) -> None:
         self.token = token
-        self.answer: Answer | None = None
+        self.answer: Answer | None = None  # nothing yet, or nothing at all
         self.is_done = False
 
     def set(self, answer: Answer | None) -> None:
@@ -129,9 +123,7 @@ class AgentRequests:
         asked: Mapping[K, tuple[str, Request, float]],
         check: Callable[[], object] = nothing,
     ) -> Iterator[tuple[K, Answer | None]]:
-        """Ask agents, all at once; yield each answer as it comes.
-
-        None: the agent gave none.
+        """Ask agents, all at once; yield each answer as it comes; None: there is none.
 
         `asked`: by any key: the computer, what its agent is asked, and the limit [s].
         """
@@ -139,7 +131,11 @@ class AgentRequests:
         pending, deadline = set(asked), self._clock.now() + _LAST_REPLY
         deadline += max((limit for _, _, limit in asked.values()), default=0.0)
         for key, (computer, request, limit) in asked.items():
-            self._get(computer, request, limit, partial(_note, replies, key))
+
+            def take(reply: zenoh.Reply | None = None, key: K = key) -> None:
+                replies.put((key, reply))  # None: there is no other
+
+            self._get(computer, request, limit, take)
         while pending:
             try:
                 key, reply = replies.get(timeout=LOOK_EVERY)
@@ -171,23 +167,13 @@ class AgentRequests:
     def why_silent(self, computer: str, limit: float, patience: float) -> str:
         """Return what is known of an agent that gave no answer within `limit` [s].
 
-        No answer comes from the moment when its connection ends, which may be a little
-        before zenoh reports the loss of the agent: `patience` [s] is for that.
+        `patience`: zenoh reports the loss of an agent up to this time later [s].
         """
         if self._reports.wait_news(
             lambda: computer in self._reports.out_of_reach(), patience
         ):
             return "is out of reach"
         return f"did not answer within {limit:g} s"
-
-
-def _note(
-    replies: queue.SimpleQueue[tuple[K, zenoh.Reply | None]],
-    key: K,
-    reply: zenoh.Reply | None = None,
-) -> None:
-    """Store a reply, or None at the end of replies; for zenoh's threads."""
-    replies.put((key, reply))
 
 
 def _answer_of(reply: zenoh.Reply | None) -> Answer | None:

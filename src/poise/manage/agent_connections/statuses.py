@@ -50,9 +50,9 @@ def calling_ports(statuses: Statuses) -> set[tuple[str, str]]:
 def keeping_ports(statuses: Statuses) -> dict[tuple[str, str], int]:
     """Return component and port -> how many messages it keeps; it may lose others."""
     return {
-        (component.name, port): size
-        for component in components_of(statuses)
-        for port, size in component.keeps.items()
+        (c.name, port): size
+        for c in components_of(statuses)
+        for port, size in c.keeps.items()
     }
 
 
@@ -152,29 +152,24 @@ def unreached(
     sentences = {}
     for computer, since in sorted(out_of_reach.items()):
         began = time_of_day(since)
-        sentences[computer] = (
-            f"computer '{computer}' has been out of reach since {began}"
-        )
+        said = [f"computer '{computer}' has been out of reach since {began}"]
         if computer in reporting:
-            sentences[computer] += "; its reports (TCP) come, but no heartbeats (UDP)"
+            said.append("its reports (TCP) come, but no heartbeats (UDP)")
         inside = sorted(name for name, at in placement.items() if at == computer)
         other = heard_by.get(computer)
         how = f"'{other}' still reaches it" if other else ""
         if computer in heard:
             how = "it still sends heartbeats (UDP), but accepts no connection (TCP)"
-        if how:
-            sentences[computer] += f"; {how}"
-            if inside:
-                sentences[computer] += f": {_clause(inside, 'keep')} running"
-            continue
         stop = [name for name in inside if name in leased]
-        stay = ", ".join(name for name in inside if name not in leased)
-        if stop:
-            sentences[computer] += (
-                f"; {_clause(stop, 'stop')} there when its lease ends"
-            )
-        if stay:
-            sentences[computer] += f"; {stay} may still be at work there"
+        stay = [name for name in inside if name not in leased]
+        if how:
+            said.append(f"{how}: {_clause(inside, 'keep')} running" if inside else how)
+        else:
+            if stop:
+                said.append(f"{_clause(stop, 'stop')} there when its lease ends")
+            if stay:
+                said.append(f"{', '.join(stay)} may still be at work there")
+        sentences[computer] = "; ".join(said)
     return sentences
 
 
