@@ -100,7 +100,7 @@ def test_names_a_container_that_nobody_wants(robot: Robot) -> None:
         computer="a", generation=1, uptime=9.0, cpu=0.0, containers=(container,)
     )
     layout = DeploymentLayout(robot, "")
-    ((_, found),) = find_unwanted([], layout, {"a": status}, 5.0)
+    (found,) = find_unwanted([], layout, {"a": status}, 5.0).values()
     assert found.what == "container 'odd' runs on 'a' but should not"
 
 
@@ -123,7 +123,7 @@ def test_names_a_connector_that_is_not_joined(
     )
     settled = [Incarnation(component=n, computer="a", goal="active") for n in placed]
     layout = DeploymentLayout(joined, "")
-    found = [each for _, each in find_unjoined(settled, layout, {"a": status}, 5.0)]
+    found = find_unjoined(settled, layout, {"a": status}, 5.0).values()
     assert len(found) == count
     for each in found:
         assert each.what == "connector 'eye.x-mind.x' from 'a' does not reach 'a'"
@@ -148,13 +148,13 @@ def test_where_another_computer_is_to_be_reached_is_said(robot: Robot) -> None:
     ]
     statuses, layout = {"a": here, "b": there}, DeploymentLayout(joined, "")
     what = "connector 'eye.x-mind.x' from 'a' does not reach 'b' at 10.0.0.2:7448 (TCP)"
-    (found,) = (each for _, each in find_unjoined(settled, layout, statuses, 5.0))
+    (found,) = find_unjoined(settled, layout, statuses, 5.0).values()
     assert found.what == what
     assert not_joined(statuses, {"x/0.0": ("a", "b")}) == [what]
     refused = replace(end, refusal="no TLS session: certificate has expired")
     connectors = (replace(container, connectors=(refused,)),)
     statuses["a"] = replace(here, containers=connectors)
-    (found,) = (each for _, each in find_unjoined(settled, layout, statuses, 5.0))
+    (found,) = find_unjoined(settled, layout, statuses, 5.0).values()
     assert found.what == f"{what}: {refused.refusal}"
 
 

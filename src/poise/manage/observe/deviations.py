@@ -41,10 +41,9 @@ class Deviation(Struct, frozen=True, kw_only=True):
     """One thing that is not as it should be."""
 
     what: str  # a sentence for people; the same for as long as it lasts
-    computer: str  # where; `component` is empty when it concerns the computer
-    component: str = ""  # where; `component` is empty when it concerns the computer
-    # the container whose last fault is the cause, and says more; empty: none
-    container: str = ""
+    computer: str
+    component: str = ""  # empty: it concerns the computer
+    container: str = ""  # whose last fault is the cause, and says more; empty: none
     since: float  # when the manager noticed it [s since 1970]
 
     @property
@@ -66,10 +65,7 @@ def find_deviations(
     statuses: Statuses,
     now: float,  # the time [s since 1970]
 ) -> Iterator[Deviation]:
-    """Yield what differs between the placement and what the agents reported.
-
-    But for `find_unwanted` and `find_unjoined`: what has to last.
-    """
+    """Yield what differs between the placement and what the agents reported."""
     here: dict[str, list[Incarnation]] = defaultdict(list)
     names = _containers(wanted, layout)
     for incarnation in settled:
@@ -97,14 +93,16 @@ def find_unwanted(
     layout: DeploymentLayout,
     statuses: Statuses,
     now: float,
-) -> Iterator[tuple[str, Deviation]]:
-    """Yield the containers that should not run, by what is said of them: some end."""
+) -> dict[str, Deviation]:
+    """Return the containers that should not run, by what is said of them: some end."""
     names = _containers(wanted, layout)
+    found = {}
     for computer, status in sorted(statuses.items()):
         for running in status.containers:
             if running.name not in names[computer]:
                 what = f"container '{running.name}' runs on '{computer}' but should not"
-                yield what, Deviation(what=what, computer=computer, since=now)
+                found[what] = Deviation(what=what, computer=computer, since=now)
+    return found
 
 
 def find_unjoined(
@@ -112,21 +110,21 @@ def find_unjoined(
     layout: DeploymentLayout,
     statuses: Statuses,
     now: float,
-) -> Iterator[tuple[str, Deviation]]:
-    """Yield the connectors whose source does not reach its target, by name."""
+) -> dict[str, Deviation]:
+    """Return the connectors whose source does not reach its target, by name."""
     computers = {incarnation.component: incarnation.computer for incarnation in settled}
     unready = {
         connector.name: connector
         for connector in connectors_of(statuses)
         if connector.end == "source" and not connector.ready
     }
-    if not unready:
-        return
-    for connector in layout.connectors(computers):
+    found = {}
+    for connector in layout.connectors(computers) if unready else ():
         if (name := connector.name) in unready:
             source, target = (computers[end.component] for end in connector.between)
             what = unjoined(unready[name], source, target, statuses)
-            yield name, Deviation(what=what, computer=source, since=now)
+            found[name] = Deviation(what=what, computer=source, since=now)
+    return found
 
 
 def _of_components(
@@ -153,11 +151,8 @@ def _of_components(
 
 
 def _of_computer(computer: Computer, status: AgentStatus) -> Iterator[str]:
-    """Yield what a computer has less of than the robot file says.
-
-    What emulates computers looks at that itself.
-    """
-    if computer.address is None:
+    """Yield what a computer has less of than the robot file says."""
+    if computer.address is None:  # what emulates it looks at that itself
         return
     has = {"cpu": status.cores, "memory": float(status.computer_memory)}
     for resource, amount in has.items():
@@ -214,9 +209,8 @@ def explain(
 
 Numbers = Mapping[str, int]
 """Computer -> the number of its agent's last fault."""
-_FIRST = 5
-_WINDOW = 60.0
-"""A container with more than `_FIRST` faults in this time is reported once [s]."""
+_FIRST, _WINDOW = 5, 60.0
+"""A container with more faults in this time [s] is reported once."""
 
 
 def last_numbers(statuses: Statuses) -> Numbers:
@@ -251,8 +245,6 @@ def new_faults(before: Numbers, statuses: Statuses) -> list[str]:
 
 class FaultFilter:
     """Selects the faults to report: of a container with very many, one a minute.
-
-    The first `_FIRST` faults of a container within `_WINDOW` are reported one by one.
 
     `since`: of an agent that is not in `before`, none is reported from before this [s].
     """
@@ -324,10 +316,7 @@ class LocatedFault(Fault, frozen=True, kw_only=True):
 
 
 def combined(faults: Iterable[tuple[str, Fault]]) -> Iterator[str]:
-    """Yield a sentence for each kind of fault, with its number and last time.
-
-    `faults`: each with its computer.
-    """
+    """Yield a sentence for each kind of fault, with its number and last time."""
     kinds: dict[str, list[Fault]] = {}
     for computer, fault in faults:
         what = f"container '{fault.container}' on '{computer}' {fault.message}"

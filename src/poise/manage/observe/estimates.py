@@ -99,10 +99,7 @@ class Loads:
                 totals.popleft()
 
     def loads(self, without: Container[str] = ()) -> dict[str, Load]:
-        """Return computer -> load, where enough of it was seen.
-
-        `without`: computers that tell nothing now; what they told last is no use.
-        """
+        """Return computer -> load, where enough was seen; `without` some computers."""
         with self._lock:
             windows = {c: (*t,) for c, t in self._totals.items() if c not in without}
         return {
@@ -128,10 +125,7 @@ class Loads:
 
 
 def _by_others(totals: Sequence[_Total]) -> float:
-    """Return what other programs use [cores].
-
-    While a container ended, that is not known: nor is what it used last.
-    """
+    """Return what other programs use [cores]; not known while a container ended."""
     seconds = others = 0.0
     for before, after in pairwise(totals):
         if before.containers.keys() <= after.containers.keys():
@@ -359,10 +353,7 @@ class Estimates:
                 del self._traffic[name]
 
     def _count(self, place: _Place, at: float, now: ConnectorSample) -> None:
-        """Estimate a connector's rates over the last seconds.
-
-        As the end says at which something went over it last.
-        """
+        """Estimate a connector's rates, as the end says that had traffic last."""
         began, before = self._ends.setdefault((place, now.name), (at, now))
         seconds = at - began
         if seconds < _COUNT_OVER:
@@ -400,10 +391,7 @@ _LEAST = 0.05
 def culprit_on(
     load: Load | None, demand_estimates: Iterable[DemandEstimate], victim: str = ""
 ) -> str:
-    """Return what takes most beyond what was expected on a computer, for people.
-
-    `load`: the computer's; None: it is not known.
-    """
+    """Return what takes most beyond what was expected on a computer, for people."""
     if load is None:
         return ""
     usual = {demand.component: demand.usual for demand in demand_estimates}
@@ -424,22 +412,12 @@ def culprit_on(
 
 
 class PresentDemand(Struct, frozen=True, kw_only=True):
-    """The CPU demand of a component now [cores].
+    """The CPU demand of a component now [cores]."""
 
-    Parameters
-    ----------
-    mean, error
-        By its estimate.
-    counted
-        The demand that is counted with; no more than some computer can give it.
-    is_bounded
-        Whether no computer could give it all.
-    """
-
-    mean: float
+    mean: float  # by its estimate
     error: float
-    counted: float
-    is_bounded: bool = False
+    counted: float  # what is counted with: no more than some computer can give it
+    is_bounded: bool = False  # whether no computer could give it all
 
     def __str__(self) -> str:
         """Return it with how sure it is, for people."""

@@ -30,11 +30,8 @@ _UNITS = {"cores": "{core}", "share": "1", "bytes": "By", "seconds": "s"}
 
 
 class Telemetry:
-    """Sends metrics until it is closed; a collector that is away is no error.
+    """Sends metrics, named as for Prometheus, until it is closed.
 
-    Names and labels are those that Prometheus gets.
-
-    `status`: returns the last known state; any thread may call it.
     `say`: told once that metrics do not get out, and once that they do again.
     """
 
@@ -122,10 +119,7 @@ class _Exporter(OTLPMetricExporter):  # type: ignore[misc]  # it has no types
 
 
 def _instruments() -> Iterator[tuple[str, str, str, bool]]:
-    """Yield names, units, meanings, and whether values only grow.
-
-    Quantiles come from the connectors' ends: here they are gauges.
-    """
+    """Yield names, units, meanings, and whether values only grow."""
     for name, says in METRICS.items():
         yield name, _unit(name), says, kind_of(name) == "counter"
         if kind_of(name) == "summary":

@@ -23,10 +23,7 @@ _WRITE_EVERY = 1.0
 
 
 class Recording:
-    """Samples in memory. Its methods may be called from any thread.
-
-    Of more than `MOST` the latest are kept.
-    """
+    """The latest samples, in memory, for any thread."""
 
     def __init__(self) -> None:
         self._samples: deque[AgentSample] = deque(maxlen=MOST)

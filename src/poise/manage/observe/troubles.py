@@ -1,8 +1,7 @@
 """Faults of the manager itself: exceptions in its loop, its files, threads and clock.
 
-Each part of the loop fails by itself: its exception is journalled with a traceback,
-and is a deviation until the part works again. Only that part backs off. No bug of Poise
-ends a robot.
+A part of the loop that raises is journalled, is a deviation until it works again, and
+backs off alone. No bug of Poise ends a robot.
 """
 
 from __future__ import annotations
@@ -154,16 +153,14 @@ class CodeErrors:
         for computer, status in statuses.items():
             for container in status.containers:
                 for component in container.components:
-                    if (
-                        not component.error_counts
-                        and component.name not in self._counts
-                    ):
+                    name = component.name
+                    if not component.error_counts and name not in self._counts:
                         continue
                     # another boot may give the same number
                     stay = container.pid, component.start, component.epoch
                     raised = _raised(component, computer)
                     is_told = are_known or component.state == "failed"
-                    self._note_news(component.name, stay, raised, now, is_told=is_told)
+                    self._note_news(name, stay, raised, now, is_told=is_told)
                 for name, count in refused(container):
                     error = Deviation(
                         what=f"connector '{name}' refused messages on '{computer}': "

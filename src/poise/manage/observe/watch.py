@@ -80,7 +80,10 @@ class Watch:
         """
         live = self._live
         live.note_refused()
-        self._note_faults()
+        now = time.monotonic()
+        for sentence, fault in self._faults.new(live.agents.statuses(), now):
+            kind: EntryKind = "right" if fault.is_over else "wrong"
+            live.journal.note(kind, sentence, fault=fault)
         reached = live.computers()
         statuses = {c: status for c, status in live.current().items() if c in reached}
         before = {deviation.key: deviation for deviation in self.deviations}
@@ -94,7 +97,7 @@ class Watch:
             if not before[key].container:
                 live.journal.note("right", before[key].end())
         self.deviations = tuple(deviations.values())
-        self.code_errors.record(statuses, time.monotonic())
+        self.code_errors.record(statuses, now)
         self._note_recoveries(statuses)
 
     def _found(
@@ -105,8 +108,8 @@ class Watch:
     ) -> dict[str, Deviation]:
         """Return what deviates now, by key; of what is not known now, what did before.
 
-        That is what is being moved, and what is on the computers that are `unheard`:
-        they have not reported since they were told something else.
+        Not known is what moves, and what is on computers that are `unheard`: they have
+        not reported since they were told something else.
         """
         live, now = self._live, wall_time()
         wanted, settled = live.desired.incarnations(), live.desired.settled()
@@ -142,8 +145,8 @@ class Watch:
                 for key, (deviation, _) in self._new.items()
                 if key in still or deviation.computer in unheard
             },
-            **dict(find_unjoined(there, layout, statuses, now)),
-            **dict(find_unwanted(wanted, layout, statuses, now)),
+            **find_unjoined(there, layout, statuses, now),
+            **find_unwanted(wanted, layout, statuses, now),
         }
         self._new = {
             key: self._new.get(key, (deviation, began))
@@ -154,14 +157,6 @@ class Watch:
             for deviation, since in self._new.values()
             if began - since >= _LASTS
         }
-
-    def _note_faults(self) -> None:
-        """Journal what broke on computers since the last time."""
-        live = self._live
-        statuses = live.agents.statuses()
-        for sentence, fault in self._faults.new(statuses, time.monotonic()):
-            kind: EntryKind = "right" if fault.is_over else "wrong"
-            live.journal.note(kind, sentence, fault=fault)
 
     def _note_recoveries(self, statuses: Statuses) -> None:
         """Journal which containers run as they should again after a fault."""
