@@ -11,7 +11,14 @@ from msgspec.structs import replace
 from poise.manage.observe.chains import ChainHop, ChainReport
 from poise.manage.observe.estimates import Load
 from poise.session.running_robots.running import Status
-from poise.view.robot_view import SPAN, ComponentRow, ConnectorRow, Reader, TimerRow
+from poise.view.robot_view import (
+    SPAN,
+    ChainRow,
+    ComponentRow,
+    ConnectorRow,
+    Reader,
+    TimerRow,
+)
 from poise.wire.records.request_records import ManagerId
 from poise.wire.records.status_records import (
     AgentStatus,
@@ -176,7 +183,7 @@ def aged(uses: int, missed: int, at: float = 1.0, **more: Any) -> Status:
 def test_a_chain_is_late_by_its_last_uses_and_unknown_without() -> None:
     reader = Reader()
     late = [
-        view.chains["see"]
+        view.chains[0].late
         for view in (
             reader.update(aged(1000, 0), 0.0),
             reader.update(aged(1010, 9), 1.0),
@@ -187,3 +194,8 @@ def test_a_chain_is_late_by_its_last_uses_and_unknown_without() -> None:
     ]
     # over three seconds: 9 of 10, none of 20, no use, and a computer that is silent
     assert late == [None, 0.9, 0.0, None, None]
+
+
+def test_a_chain_that_was_not_used_has_no_age() -> None:
+    (row,) = Reader().update(aged(0, 0), 0.0).chains
+    assert row == ChainRow("see", None, None, 0.1, 0, None)

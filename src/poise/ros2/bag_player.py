@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from functools import partial
 from itertools import count
@@ -17,6 +17,7 @@ from poise.ros2.interfaces import interface
 from poise.runtime.replay import PAUSE, Due, Replay
 from poise.wire.bag_file import Bag, BagMessage
 
+Publish = Callable[[BagMessage], None]
 _NANO = 1_000_000_000
 
 
@@ -41,19 +42,20 @@ class BagPlayer(Replay):
         """Destroy the node."""
         self._closing.close()
 
-    def _played(self, bag: Bag, publishers: dict[str, _RawPublisher]) -> Iterator[Due]:
+    def _played(self, bag: Bag, publishers: dict[str, Publish]) -> Iterator[Due]:
         for turn in count():
             began = turn * (bag.seconds + PAUSE)
             first = None
             for message in bag.messages(publishers):
                 first = message.at if first is None else first
-                send = partial(publishers[message.topic].publish, message)
+                send = partial(publishers[message.topic], message)
                 yield began + message.at - first, send
             if first is None:  # there is nothing to play
                 return
 
 
-def _publisher(node: Any, bag: Bag, topic: str) -> _RawPublisher:  # noqa: ANN401, of rclpy
+def _publisher(node: Any, bag: Bag, topic: str) -> Publish:  # noqa: ANN401, of rclpy
+    """Return what publishes messages of a topic, which are serialised already."""
     from rclpy import qos  # noqa: PLC0415, only where a node runs
 
     try:
@@ -63,22 +65,16 @@ def _publisher(node: Any, bag: Bag, topic: str) -> _RawPublisher:  # noqa: ANN40
     # offers what any subscriber may ask for
     transient = qos.DurabilityPolicy.TRANSIENT_LOCAL
     profile = qos.QoSProfile(depth=10, durability=transient)
-    return _RawPublisher(kind, node.create_publisher(kind, topic, profile))
+    publisher = node.create_publisher(kind, topic, profile)
+    first = next(iter(kind.get_fields_and_field_types().values()), "")
+    has_header = first == "std_msgs/Header"
 
-
-class _RawPublisher:
-    """A publisher of messages that are serialised already."""
-
-    def __init__(self, kind: Any, publisher: Any) -> None:  # noqa: ANN401, of rclpy
-        first = next(iter(kind.get_fields_and_field_types().values()), "")
-        self._has_header = first == "std_msgs/Header"
-        self._publish = publisher.publish
-
-    def publish(self, message: BagMessage) -> None:
+    def publish(message: BagMessage) -> None:
         """Publish a message, as old as it was when it was recorded."""
-        later = wall_time() - message.at
-        data = message.data
-        self._publish(stamped_later(data, later) if self._has_header else data)
+        later, data = wall_time() - message.at, message.data
+        publisher.publish(stamped_later(data, later) if has_header else data)
+
+    return publish
 
 
 def stamped_later(data: bytes, by: float) -> bytes:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from math import inf, isfinite
 from numbers import Real
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import msgspec
 from msgspec import Struct
@@ -21,7 +21,6 @@ from poise.errors import PoiseError, RunError
 from poise.session import Check, Say, log, nothing
 from poise.session.arguments import check_names, check_path, check_type
 from poise.session.running_robots.running import (
-    ChainReport,
     JournalEntry,
     NoManager,
     Status,
@@ -30,6 +29,7 @@ from poise.session.running_robots.running import (
 from poise.units import counted
 from poise.view.foxglove import LOG, base64_of, drawings, is_array, stamp
 from poise.view.robot_view import (
+    ChainRow,
     ComponentRow,
     ComputerRow,
     ConnectorRow,
@@ -81,26 +81,6 @@ _LEVELS = {"wrong": 3, "failed": 4}
 _INFO = 2
 
 
-class ChainRow(Struct, frozen=True):
-    """How old the data of a chain was when it was used [s], and how often too old.
-
-    Both ages are None while it was not used.
-    """
-
-    name: str
-    median: float | None
-    p99: float | None
-    deadline: float
-    missed: int
-
-
-def chain_row(chain: ChainReport) -> ChainRow:
-    """Return the row of a chain."""
-    age = chain.age
-    median, p99 = (age.median, age.p99) if age.count else (None, None)
-    return ChainRow(chain.name, median, p99, chain.deadline, chain.missed)
-
-
 def schema_of(type_: type[Struct]) -> Schema:
     """Return the schema of a record whose fields are numbers, texts and truths."""
     schema = msgspec.json.schema(type_)["$defs"][type_.__name__]
@@ -144,8 +124,14 @@ _TYPES = {
 }
 
 
-_Row = ComputerRow | ComponentRow | ConnectorRow | TimerRow | ChainRow
-_SCHEMAS = {type_: schema_of(type_) for type_ in get_args(_Row)}
+_ROWS = {
+    "computers": schema_of(ComputerRow),
+    "components": schema_of(ComponentRow),
+    "connectors": schema_of(ConnectorRow),
+    "timers": schema_of(TimerRow),
+    "chains": schema_of(ChainRow),
+}
+"""Part of a `RobotView` -> the schema of its rows."""
 
 
 class RobotRecording(Struct, frozen=True, kw_only=True):
@@ -338,18 +324,10 @@ class Recorder:
 
     def _write_rows(self, file: McapFile, status: Status, now: float) -> None:
         view, at = self._reader.update(status, now), self._time()
-        ages = tuple(map(chain_row, status.chains))
-        parts: dict[str, tuple[_Row, ...]] = {
-            "computers": view.computers,
-            "components": view.components,
-            "connectors": view.connectors,
-            "timers": view.timers,
-            "chains": ages,
-        }
-        for part, rows in parts.items():
-            for row in rows:
+        for part, schema in _ROWS.items():
+            for row in getattr(view, part):
                 known = {n: v for n, v in asdict(row).items() if v is not None}
-                file.add(f"{part}/{row.name}", _SCHEMAS[type(row)], at, known)
+                file.add(f"{part}/{row.name}", schema, at, known)
 
     def _write_entries(
         self, file: McapFile, manager: str, entries: Sequence[JournalEntry]

@@ -1,7 +1,7 @@
 """What there is to see of a running robot, in rows: for `top` and whatever shows more.
 
-A status has totals. Differences over the last seconds make rates of them, on the time
-of each container, so that nothing on the way distorts them.
+Differences of a status's totals over the last seconds make rates, on the time of each
+container, so that nothing on the way distorts them.
 """
 
 from __future__ import annotations
@@ -34,9 +34,8 @@ SPAN = 3.0
 class ComputerRow(Struct, frozen=True):
     """A computer: `cpu` [cores] and `memory` [bytes] of their capacities.
 
-    Other programs count in `cpu`, where their use is known, not in `memory`. Both are
-    None while it is not known how it is; `age` is how old the last news is [s], if it
-    is known.
+    Other programs count in `cpu`, where their use is known, not in `memory`. None: it
+    is not known.
     """
 
     name: str
@@ -46,7 +45,7 @@ class ComputerRow(Struct, frozen=True):
     most_memory: float
     components: int
     is_reached: bool
-    age: float | None = None
+    age: float | None = None  # of the last news [s]
 
 
 class ComponentRow(Struct, frozen=True):
@@ -92,6 +91,21 @@ class TimerRow(Struct, frozen=True):
     missed: float | None
 
 
+class ChainRow(Struct, frozen=True):
+    """How old the data of a chain was when it was used [s], and how often too old.
+
+    Both ages are None while it was not used. `late` is the share of its uses lately
+    that was too old; None: there was no use, or it is not known.
+    """
+
+    name: str
+    median: float | None
+    p99: float | None
+    deadline: float
+    missed: int
+    late: float | None
+
+
 class RobotView(Struct, frozen=True):
     """A running robot at one moment: its status, and rows made of it."""
 
@@ -100,9 +114,7 @@ class RobotView(Struct, frozen=True):
     components: tuple[ComponentRow, ...]
     connectors: tuple[ConnectorRow, ...]
     timers: tuple[TimerRow, ...]
-    chains: dict[str, float | None]
-    """Chain -> the share of its uses of data lately that was too old; None: there was
-    no use, or it is not known."""
+    chains: tuple[ChainRow, ...]
 
 
 class Reader:
@@ -123,7 +135,7 @@ class Reader:
             components=tuple(_components(before, status)),
             connectors=tuple(_connectors(before, status)),
             timers=tuple(_timers(before, status)),
-            chains=dict(_chains(before, status)),
+            chains=tuple(_chains(before, status)),
         )
 
 
@@ -206,15 +218,16 @@ def _timers(before: Status, now: Status) -> Iterator[TimerRow]:
             )
 
 
-def _chains(before: Status, now: Status) -> Iterator[tuple[str, float | None]]:
-    """Yield each chain and how late it is; what moved counts from 0 again."""
+def _chains(before: Status, now: Status) -> Iterator[ChainRow]:
+    """Yield each chain; what moved counts from 0 again."""
     earlier = {_incarnation(chain): chain for chain in before.chains}
     for chain in now.chains:
-        was = earlier.get(_incarnation(chain), chain)
-        used = chain.age.count - was.age.count
+        was, age = earlier.get(_incarnation(chain), chain), chain.age
+        used = age.count - was.age.count
         is_known = not {hop.computer for hop in chain.hops} & now.not_known()
         late = (chain.missed - was.missed) / used if is_known and used > 0 else None
-        yield chain.name, late
+        median, p99 = (age.median, age.p99) if age.count else (None, None)
+        yield ChainRow(chain.name, median, p99, chain.deadline, chain.missed, late)
 
 
 def _incarnation(chain: ChainReport) -> tuple[str, tuple[int, ...]]:

@@ -44,8 +44,8 @@ class PageState:
         view = self._reader.update(status, at)
         page["timers"] = timers = dict(_timers(status, view.timers))
         page["chains"] = {
-            chain.name: _chain(chain, view.chains[chain.name], status)
-            for chain in status.chains
+            chain.name: _chain(chain, row.late, status)
+            for chain, row in zip(status.chains, view.chains, strict=True)
         }
         page["connectors"] = {
             connector.name: _connector(connector) for connector in view.connectors
