@@ -40,8 +40,7 @@ def robot() -> Robot:
 
 def likely(probability: float, **placement: str) -> LikelyAction:
     return LikelyAction(
-        task="t",
-        action="+".join(placement),
+        what="+".join(placement),
         placement=placement,
         probability=probability,
     )
@@ -76,10 +75,7 @@ def test_the_likelier_action_comes_first_and_a_smaller_one_uses_the_rest(
     )
     assert [*found.placement] == ["arm", "mouth"]
     assert found.why_not == {
-        (
-            "map",
-            "t",
-        ): "it needs 40 MiB of memory on 'left', where 20 MiB may be used for it"
+        "map": "it needs 40 MiB of memory on 'left', where 20 MiB may be used for it"
     }
 
 
@@ -126,7 +122,7 @@ def test_nothing_begins_where_no_cpu_is_left_but_what_is_ready_stays(
     cpu = {"left": 0.001, "right": 0.2}
     found = chosen(robot, likely(1, arm="left"), cpu=cpu)
     assert found.why_not == {
-        ("arm", "t"): "the running components leave no CPU free on 'left'"
+        "arm": "the running components leave no CPU free on 'left'"
     }
     found = chosen(robot, likely(1, arm="left"), cpu=cpu, held={"arm": "left"})
     assert found.placement == {"arm": "left"}
@@ -134,7 +130,7 @@ def test_nothing_begins_where_no_cpu_is_left_but_what_is_ready_stays(
 
 def test_nothing_is_prepared_on_a_computer_that_is_out_of_reach(robot: Robot) -> None:
     found = chosen(robot, likely(1, arm="left"), cpu={"right": 0.2})
-    assert found.why_not == {("arm", "t"): "computer 'left' is out of reach"}
+    assert found.why_not == {"arm": "computer 'left' is out of reach"}
 
 
 def test_what_uses_an_exclusive_device_that_is_in_use_waits(robot: Robot) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from poise.manage.tasks.action_placement import PlanOverTime, likely_next
-from poise.manage.tasks.concurrent_tasks import Tasks, task_reports
+from poise.manage.tasks.concurrent_tasks import Tasks
 from poise.model.robot import Architecture, ComponentEntry, Computer, Robot
 from poise.model.steps import Action, Task
 
@@ -37,11 +37,11 @@ def test_the_components_of_the_next_action_are_likely_where_they_are_planned() -
     tasks.start("t", 0.0)
     tasks.arbitrate(0.0)
     ahead = tasks.next_actions()
-    (report,) = task_reports(tasks, ahead, lambda _: (), 0.0)
+    (report,) = tasks.reports(ahead, lambda _: (), 0.0)
     assert report.next == ("drive",)
     (found,) = likely_next(ahead, plans, {"see": "left"}, {})
-    assert (found.action, found.placement, found.probability) == (
-        "drive",
+    assert (found.what, found.placement, found.probability) == (
+        "action 'drive' of task 't'",
         {"go": "right"},
         1.0,
     )

@@ -22,7 +22,9 @@ from poise.wire.records.status_records import ComponentStatus, ContainerHealth, 
 from tests.manage.conftest import FakeAgents
 
 NEXT = LikelyAction(
-    task="serve", action="think", placement={"thinker": "right"}, probability=0.8
+    what="action 'think' of task 'serve'",
+    placement={"thinker": "right"},
+    probability=0.8,
 )
 
 

@@ -127,8 +127,7 @@ PLAN_FOR = 0.3
 class LikelyAction(Struct, frozen=True, kw_only=True):
     """Components that may be needed soon."""
 
-    task: str
-    action: str  # which action needs them, as in phases
+    what: str  # which action of which task needs them, for people; empty: none
     placement: Mapping[str, str]  # component -> computer, without what runs already
     probability: float  # that this action comes next in its task
 
@@ -166,7 +165,7 @@ class PlanOverTime:
 
 
 def likely_next(
-    upcoming: Iterable[tuple[TaskRecord, Attempt, float]],
+    upcoming: Iterable[tuple[Attempt, float]],
     plans: PlanOverTime,
     running: Mapping[str, str],
     idle: Mapping[str, str],
@@ -174,17 +173,14 @@ def likely_next(
 ) -> list[LikelyAction]:
     """Return what may be needed next and does not run, the most probable first."""
     actions = []
-    for record, attempt, probability in upcoming:
+    for attempt, probability in upcoming:
         functions = tuple(f for f in attempt.action.functions if f not in served)
-        where = plans.placement(record.name, (attempt.name,), functions)
+        where = plans.placement(attempt.task, (attempt.name,), functions)
         missing = {n: idle.get(n, at) for n, at in where.items() if n not in running}
         if missing:
             actions.append(
                 LikelyAction(
-                    task=record.name,
-                    action=attempt.name,
-                    placement=missing,
-                    probability=probability,
+                    what=str(attempt), placement=missing, probability=probability
                 )
             )
     return sorted(actions, key=lambda action: -action.probability)
@@ -193,45 +189,42 @@ def likely_next(
 class Admission:
     """Decides where the functions of all tasks go together."""
 
-    def __init__(self, live: LiveRobot, tasks: Tasks, plans: PlanOverTime) -> None:
+    def __init__(
+        self, live: LiveRobot, tasks: Tasks, plans: PlanOverTime, serving: Serving
+    ) -> None:
         self._live = live
         self._tasks = tasks
         self._plans = plans
-        self._serving = Serving(live)
+        self._serving = serving
 
     def admit(
         self,
         situation: Situation,
-        new: Iterable[tuple[TaskRecord, Attempt]],
+        new: Collection[Attempt],
         suspended: AbstractSet[str],
-        *,
-        explore: bool,
     ) -> Room:
         """Return where all goes that should run now.
 
         When it does not fit, tasks of low priority wait for the room of others; when
         one does not even fit alone, its actions fail. The room then says why.
         """
-        new = tuple(new)
         robot = learned(
             situation.robot,
-            [attempt.action for _, attempt in new],
+            [attempt.action for attempt in new],
             conditions=conditions_of(situation),
-            explore=explore,
             seed=self._tasks.saved.number,
         ).robot
         situation = replace(situation, robot=robot)
         left_out = suspended | self._serving.broken(situation.lost)
-        by_plan: dict[str, str] = {}
-        for record, attempt in new:
-            names = tuple(t.name for t in self._tasks.tries(record))
+        going, due, by_plan = self._tasks.going(), self._tasks.due(), dict[str, str]()
+        for attempt in new:
+            names = tuple(each.name for each in due if each.task == attempt.task)
             functions = attempt.action.functions
-            by_plan |= self._plans.placement(record.name, names, functions)
+            by_plan |= self._plans.placement(attempt.task, names, functions)
             if attempt.progress.spent:
                 by_plan = self._with_resting(by_plan, functions)
-        going = self._tasks.going()
         whole = self._beside(situation, going, left_out, by_plan)
-        if whole.why and (gone := self._exchangeable(new)):
+        if whole.why and (gone := self._exchangeable(due)):
             left = {n: at for n, at in situation.placement.items() if n not in gone}
             there = replace(situation, placement=left)
             other = self._beside(there, going, left_out, by_plan)
@@ -254,17 +247,12 @@ class Admission:
         self._end_or_block(going[0], whole.why)
         return whole
 
-    def _exchangeable(self, new: Iterable[tuple[TaskRecord, Attempt]]) -> set[str]:
+    def _exchangeable(self, due: Iterable[Attempt]) -> set[str]:
         """Return what runs for no action at work, and has alternatives for new ones."""
-        going = self._tasks.going()
-        at_work = {
-            function
-            for record in going
-            for attempt in self._tasks.tries(record)
-            if attempt.progress.since is not None
-            for function in attempt.action.functions
-        }
-        functions = {f for _, attempt in new for f in attempt.action.functions}
+        functions, at_work = set[str](), set[str]()
+        for attempt in due:
+            is_new = attempt.progress.since is None
+            (functions if is_new else at_work).update(attempt.action.functions)
         provided = Counter(a.function for a in self._live.robot.architectures)
         return {
             component.name

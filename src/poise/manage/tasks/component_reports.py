@@ -6,8 +6,6 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 
-from msgspec import Struct
-
 from poise.estimate.outcomes import Conditions
 from poise.estimate.success_rates import is_tried, learned
 from poise.manage.adaptation.decision import shortages_of
@@ -18,18 +16,10 @@ from poise.model.check.allowed_computers import pinned_components
 from poise.model.phases import first_action, promise_of
 from poise.model.robot import Architecture, ConnectorEnd, Robot
 from poise.model.steps import Choice
-from poise.wire.records.status_records import ComponentStatus, TaskRequest
+from poise.wire.records.status_records import ActionEnd, ComponentStatus, TaskRequest
 
 _EPOCHS = 3
 """How many incarnations of a component are remembered, the last ones."""
-
-
-class EndReport(Struct, frozen=True):
-    """What was said at a port that ends an action: by which epoch, and what."""
-
-    epoch: int = 0
-    count: int = 0
-    done: bool = False
 
 
 class ComponentReports:
@@ -39,13 +29,11 @@ class ComponentReports:
         self._live = live
         self._heard = heard  # component -> epoch -> number of the last request heard
 
-    def ends(self) -> Mapping[str, EndReport]:
+    def ends(self) -> Mapping[str, ActionEnd]:
         """Return what was said at each port that ends an action, as component.port."""
         placed, prepared = self._live.placed, self._live.prefetched
         return {
-            f"{component.name}.{end.port}": EndReport(
-                component.epoch, end.count, end.done
-            )
+            f"{component.name}.{end.port}": end
             for component in components_of(self._live.agents.statuses())
             if component.ends
             and (known := placed.get(component.name) or prepared.get(component.name))
@@ -158,8 +146,6 @@ def choose(
     choice: Choice,
     conditions: Conditions,
     note: Callable[[str], object],
-    *,
-    explore: bool = False,
 ) -> int:
     """Return which step of a choice promises most; of equals the first.
 
@@ -168,13 +154,10 @@ def choose(
     step, those that were not tried count as succeeding every other time.
     """
     actions = [first_action(robot, step) for step in choice.steps]
-    explore = explore or robot.explore
-    compares = explore or any(is_tried(robot, a, conditions) for a in actions)
+    compares = robot.explore or any(is_tried(robot, a, conditions) for a in actions)
     promises = []
     for action in actions:
-        known = learned(
-            robot, [action], conditions=conditions, explore=explore, compares=compares
-        ).robot
+        known = learned(robot, [action], conditions=conditions, compares=compares).robot
         promises.append((action.name, promise_of(known, action)))
     best = max(range(len(promises)), key=lambda index: promises[index][1])
     said = ", ".join(f"'{name}' {promise:.0%}" for name, promise in promises)

@@ -132,16 +132,20 @@ class Tasks:
         """Return the tasks that may run now, the most important first."""
         return [r for r in self._by_rank() if r.state == "going"]
 
+    def due(self) -> list[Attempt]:
+        """Return the actions that should work now, of the most important task first."""
+        return [attempt for record in self.going() for attempt in self.tries(record)]
+
     def arbitrate(self, now: float) -> None:
         """Decide which tasks may run now: the others wait, and say for what.
 
         A task waits while another of higher priority, or of the same that is at work,
         uses what only one may use; or while `block` says so.
         """
-        granted: list[tuple[TaskRecord, Attempt]] = []
+        granted: list[Attempt] = []
         for record in self._by_rank():
-            mine = [(record, attempt) for attempt in self.tries(record)]
-            why = self._blocked.get(record.name, "") or self._clash(granted, mine)
+            mine = self.tries(record)
+            why = self._blocked.get(record.name) or self._clash(record, granted, mine)
             if why:
                 self._stop_clocks(record, now)
                 self._enter(record, "waiting", now, why)
@@ -170,17 +174,17 @@ class Tasks:
 
     def began(self, number: int, now: float) -> None:
         """Note that an action's functions work."""
-        for record, attempt in self._all_tries():
+        for _, attempt in self._all_tries():
             if attempt.number == number and attempt.progress.since is None:
                 attempt.progress.since = now
                 how = "goes on" if attempt.progress.spent else "begins"
-                self._say(f"action '{attempt.name}' of task '{record.name}' {how}")
+                self._say(f"{attempt} {how}")
 
     def end(self, number: int, now: float, why: str, *, done: bool) -> None:
         """Note that an action has ended, and begin what comes next."""
         for record, attempt in list(self._all_tries()):
             if attempt.number == number:
-                self._end(record, attempt, why, done=done)
+                self._end(attempt, why, done=done)
                 self._settle(record, now)
 
     def end_due(self, now: float, holds: Callable[[Until], bool]) -> None:
@@ -193,9 +197,8 @@ class Tasks:
             for attempt in self.tries(record):
                 limit, worked = attempt.action.limit, self.worked(attempt, now)
                 if limit is not None and worked >= limit:
-                    self._end(
-                        record, attempt, f"its limit of {limit:g} s is over", done=False
-                    )
+                    why = f"its limit of {limit:g} s is over"
+                    self._end(attempt, why, done=False)
             self._settle(record, now)
 
     def worked(self, attempt: Attempt, now: float) -> float:
@@ -212,13 +215,43 @@ class Tasks:
             for function in attempt.action.functions
         }
 
-    def next_actions(self) -> list[tuple[TaskRecord, Attempt, float]]:
+    def next_actions(self) -> list[tuple[Attempt, float]]:
         """Return the actions that may come next, with their probabilities."""
-        return [
-            (record, attempt, probability)
-            for record in self._by_rank()
-            for attempt, probability in self._next_of(record)
-        ]
+        return [pair for record in self._by_rank() for pair in self._next_of(record)]
+
+    def reports(
+        self,
+        upcoming: Collection[tuple[Attempt, float]],
+        serving: Callable[[Attempt], tuple[str, ...]],
+        now: float,
+    ) -> tuple[TaskReport, ...]:
+        """Return how all tasks are, the first started first."""
+        return tuple(
+            TaskReport(
+                name=record.name,
+                state=record.state,
+                priority=record.priority,
+                why=record.why,
+                began=record.began,
+                since=record.since,
+                actions=tuple(
+                    ActionReport(
+                        name=attempt.name,
+                        functions=attempt.action.functions,
+                        architectures=serving(attempt),
+                        worked=self.worked(attempt, now),
+                        is_at_work=attempt.progress.since is not None,
+                    )
+                    for attempt in self.tries(record)
+                ),
+                next=tuple(  # of one that waits, its own actions come next
+                    attempt.name
+                    for attempt, _ in upcoming
+                    if attempt.task == record.name and record.state == "going"
+                ),
+            )
+            for record in list(self.records)
+        )
 
     def pop_ended(self) -> list[ActionEnded]:
         """Return the actions that have ended since the last call."""
@@ -248,24 +281,20 @@ class Tasks:
         return any(attempt.progress.since is not None for attempt in self.tries(record))
 
     def _clash(
-        self,
-        granted: list[tuple[TaskRecord, Attempt]],
-        mine: list[tuple[TaskRecord, Attempt]],
+        self, record: TaskRecord, granted: Iterable[Attempt], mine: Iterable[Attempt]
     ) -> str:
         """Return what a task cannot share with those before it; empty: nothing."""
-        actions = {
-            f"{record.name}.{attempt.name}": record.name
-            for record, attempt in granted + mine
-        }
-        renamed = [
-            replace(attempt.action, name=f"{record.name}.{attempt.name}")
-            for record, attempt in granted + mine
-        ]
+        tries = {f"{each.task}.{each.name}": each for each in (*granted, *mine)}
+        renamed = [replace(each.action, name=name) for name, each in tries.items()]
         for clash in clashes(self._robot, renamed):
+            users = {
+                each.task
+                for name, each in tries.items()
+                if any(f"'{name}'" in user for user in clash.users)
+            }
+            others = users - {record.name}
             # that of a task with itself is for `poise check`
-            users = [n for n in actions if any(f"'{n}'" in u for u in clash.users)]
-            others = {actions[n] for n in users} - {mine[0][0].name} if mine else ()
-            if others and any(actions[n] == mine[0][0].name for n in users):
+            if others and record.name in users:
                 use = "uses" if len(others) == 1 else "use"
                 who = named("task", sorted(others))
                 return f"{who} {use} the {clash.kind} '{clash.name}'"
@@ -280,20 +309,18 @@ class Tasks:
     def _end_by(self, record: TaskRecord, until: Until, progress: Progress) -> None:
         for attempt in self.tries(record):
             if attempt.progress is progress:
-                self._end(record, attempt, f"{until.when} holds", done=True)
+                self._end(attempt, f"{until.when} holds", done=True)
                 return
         progress.state = "done"
         progress.inside = []
         self._say(f"task '{record.name}': a repetition ends: {until.when} holds")
 
-    def _end(
-        self, record: TaskRecord, attempt: Attempt, why: str, *, done: bool
-    ) -> None:
+    def _end(self, attempt: Attempt, why: str, *, done: bool) -> None:
         progress = attempt.progress
         progress.state = "done" if done else "ended"
         progress.why = "" if done else f"action '{attempt.name}' failed: {why}"
         how = "is done" if done else "has failed"
-        self._say(f"action '{attempt.name}' of task '{record.name}' {how}: {why}")
+        self._say(f"{attempt} {how}: {why}")
         worked = progress.since is not None
         self._ended.append(ActionEnded(attempt.action, done, worked))
 
@@ -330,38 +357,3 @@ class Tasks:
     def _next(self) -> int:
         self.saved.number += 1
         return self.saved.number
-
-
-def task_reports(
-    tasks: Tasks,
-    upcoming: Collection[tuple[TaskRecord, Attempt, float]],
-    serving: Callable[[Attempt], tuple[str, ...]],
-    now: float,  # [s], by the clock of `Progress.since`
-) -> tuple[TaskReport, ...]:
-    """Return how all tasks are, the first started first."""
-    return tuple(
-        TaskReport(
-            name=record.name,
-            state=record.state,
-            priority=record.priority,
-            why=record.why,
-            began=record.began,
-            since=record.since,
-            actions=tuple(
-                ActionReport(
-                    name=attempt.name,
-                    functions=attempt.action.functions,
-                    architectures=serving(attempt),
-                    worked=tasks.worked(attempt, now),
-                    is_at_work=attempt.progress.since is not None,
-                )
-                for attempt in tasks.tries(record)
-            ),
-            next=tuple(  # of one that waits, its own actions come next
-                attempt.name
-                for of, attempt, _ in upcoming
-                if of is record and record.state == "going"
-            ),
-        )
-        for record in list(tasks.records)
-    )

@@ -31,7 +31,7 @@ class PrefetchPlan(Struct, frozen=True, kw_only=True):
 
     # component -> computer; what the likeliest action needs comes first
     placement: Mapping[str, str]
-    why_not: Mapping[tuple[str, str], str]  # (action, task) -> why nothing is, for it
+    why_not: Mapping[str, str]  # action of a task -> why nothing is, for it
 
 
 def choose(
@@ -50,9 +50,9 @@ def choose(
     exclusive = {device.name for device in robot.devices if device.exclusive}
     in_use = exclusive & {d for name in running for d in components[name].devices}
     placement: dict[str, str] = {}
-    why_not: dict[tuple[str, str], str] = {}
+    why_not: dict[str, str] = {}
     idle = [
-        LikelyAction(task="", action=name, placement={name: at}, probability=0.0)
+        LikelyAction(what="", placement={name: at}, probability=0.0)
         for name, at in held.items()
     ]
     for action in [*sorted(likely, key=lambda action: -action.probability), *idle]:
@@ -66,7 +66,8 @@ def choose(
         new = {computer for n, computer in wanted.items() if held.get(n) != computer}
         why = _without_cpu(new, cpu) or _without_room(wanted, left, components)
         if why:
-            why_not[action.action, action.task] = why
+            if action.what:
+                why_not[action.what] = why
             continue
         for name, computer in wanted.items():
             for resource, amount in _held_by(components[name]):
@@ -134,7 +135,7 @@ class Prefetcher:
         self._chosen_at = float("-inf")
         self._chosen_for: object = None
         self._backed_off: dict[str, float] = {}
-        self._why_not: Mapping[tuple[str, str], str] = {}
+        self._why_not: Mapping[str, str] = {}
         self._begun: dict[tuple[str, int], _Preparation] = {}
         self._memory: dict[tuple[str, str], int] = {}
         self._wasted = 0
@@ -179,9 +180,9 @@ class Prefetcher:
         cpu: Mapping[str, float],
     ) -> None:
         live, note = self._live, self._live.journal.note
-        for (action, task), why in choice.why_not.items():
-            if task and (action, task) not in self._why_not:
-                note("seen", f"nothing is prepared for {_named(action, task)}: {why}")
+        for what, why in choice.why_not.items():
+            if what not in self._why_not:
+                note("seen", f"nothing is prepared for {what}: {why}")
         self._why_not = choice.why_not
         wanted = choice.placement
         held = live.prepared()
@@ -200,8 +201,7 @@ class Prefetcher:
                 if likely_action.placement.get(n) == at
             }
             if mine:
-                what = _named(likely_action.action, likely_action.task)
-                text = f"{what} is likely next: {_list(mine)} prepared"
+                text = f"{likely_action.what} is likely next: {_list(mine)} prepared"
                 probability = likely_action.probability
                 note("decided", text, placement=mine, probability=probability)
         if begins:
@@ -316,10 +316,6 @@ class Prefetcher:
 
     def _container(self, incarnation: Incarnation) -> tuple[str, str]:
         return incarnation.computer, self._live.layout.container_of(incarnation)
-
-
-def _named(action: str, task: str) -> str:
-    return f"action '{action}' of task '{task}'"
 
 
 def _list(names: Iterable[str]) -> str:

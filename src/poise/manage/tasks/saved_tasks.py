@@ -51,8 +51,8 @@ def _begin_clocks(tasks: Tasks, journal: Journal) -> None:
                 if attempt.action.limit is not None:
                     journal.note(
                         "decided",
-                        f"the limit of {attempt.action.limit:g} s of action "
-                        f"'{attempt.name}' of task '{record.name}' counts from now on, "
-                        f"less {attempt.progress.spent:g} s: its manager ran on "
-                        "another computer, or before this computer was restarted",
+                        f"the limit of {attempt.action.limit:g} s of {attempt} counts "
+                        f"from now on, less {attempt.progress.spent:g} s: "
+                        "its manager ran on another computer, or before this computer "
+                        "was restarted",
                     )

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from collections.abc import Set as AbstractSet
-from functools import cache
+from functools import cache, partial
 
 import msgspec
 from msgspec.structs import replace
@@ -30,12 +30,11 @@ from poise.manage.tasks.action_placement import (
 )
 from poise.manage.tasks.component_reports import (
     ComponentReports,
-    EndReport,
     Serving,
     choose,
     conditions_of,
 )
-from poise.manage.tasks.concurrent_tasks import Tasks, task_reports
+from poise.manage.tasks.concurrent_tasks import Tasks
 from poise.manage.tasks.switch import IdleComponents, LaterError, SlowStarts, switch
 from poise.manage.tasks.task_progress import ActionEnded, Attempt, Saved, TaskRecord
 from poise.manage.tasks.task_reports import OVER, TaskReport
@@ -43,15 +42,13 @@ from poise.model.condition import Condition, parse_condition
 from poise.model.policy import SUBJECTS, Subject
 from poise.model.robot import Architecture
 from poise.model.steps import Action, Choice, Task, Until
+from poise.wire.records.status_records import ActionEnd
 
 _ROOM_AGAIN, _ROOM_AT_MOST = 2.0, 60.0
 """A task that waits for room is looked at again after this time [s], then after twice
 as long, up to this, until something changes."""
 _MOST_ROUNDS = 50
 """So many times in one round something may end or begin at once."""
-
-DueAction = tuple[TaskRecord, Attempt]
-"""A task, and an action of it that is due."""
 
 
 class TaskManager:
@@ -65,12 +62,12 @@ class TaskManager:
     ) -> None:
         self._live = live
         self._situation = situation
-        self._explore = live.robot.explore
-        self.tasks = Tasks(live.robot, self._say, self._choose, saved)
+        say = partial(live.journal.note, "decided")
+        self.tasks = Tasks(live.robot, say, self._choose, saved)
         self._plans = PlanOverTime(live.robot, live.solve_steps)
         self._serving = Serving(live)
         self.tasks.saved.boot = boot_id()
-        self._room = Admission(live, self.tasks, self._plans)
+        self._room = Admission(live, self.tasks, self._plans, self._serving)
         self._component_reports = ComponentReports(live, self.tasks.saved.heard)
         self._idle = IdleComponents(live)
         self._slow = SlowStarts(live)
@@ -81,7 +78,7 @@ class TaskManager:
         self._unlearned: list[tuple[ActionEnded, list[str]]] = []
         self._looked_ahead: dict[tuple[Choice, Conditions], int] = {}
         self._since = boot_time()
-        self._upcoming: list[tuple[TaskRecord, Attempt, float]] = []
+        self._upcoming: list[tuple[Attempt, float]] = []
         self.reports = self._reported()
 
     def now(self) -> tuple[Task, ...]:
@@ -143,10 +140,6 @@ class TaskManager:
         needs = tuple(n for n in self._live.robot.task(record.name).needs if n in used)
         return Task(name=record.name, actions=actions, needs=needs)
 
-    def _due_actions(self) -> list[DueAction]:
-        """Return the actions that should work now, of the first task first."""
-        return [(r, each) for r in self.tasks.going() for each in self.tasks.tries(r)]
-
     def _go_on(self) -> None:
         """Let what should run now run, until nothing changes by that."""
         now, lost = boot_time(), set(self._live.agents.out_of_reach())
@@ -169,28 +162,24 @@ class TaskManager:
         """Idle what no action needs, begin what is due; return whether one ended."""
         wanted = self.tasks.functions_of(self.tasks.going())
         ends = [a for a in self._serving.moving() if a.function not in wanted]
-        new = [due for due in self._due_actions() if due[1].progress.since is None]
+        new = [each for each in self.tasks.due() if each.progress.since is None]
         if not ends and not new:
             self._slow.keep({})
             return False
-        needed = {name for _, each in new for name in each.action.functions}
+        needed = {name for each in new for name in each.action.functions}
         if self._lost and (gone := self._serving.replaceable(self._lost, needed)):
             why = "an alternative takes the place of what is on a lost computer"
             self._live.commit(self._live.desired.without(gone), why)
         room = Room()
         there = self._serving.functions() | self._serving.broken(self._lost)
         if wanted - there - self._suspended:
-            room = self._room.admit(
-                self._situation(), new, self._suspended, explore=self._explore
-            )
+            room = self._room.admit(self._situation(), new, self._suspended)
         if room.why:
             self._note_ended()
             return True
         return self._switch(new, ends, room)
 
-    def _switch(
-        self, new: list[DueAction], ends: list[Architecture], room: Room
-    ) -> bool:
+    def _switch(self, new: list[Attempt], ends: list[Architecture], room: Room) -> bool:
         """Carry a switch out; return whether to go on with what follows at once."""
         live = self._live
         stops = [c.name for a in ends for c in a.components if c.name in live.placed]
@@ -215,15 +204,15 @@ class TaskManager:
             self._fail(new, begins, error)
             return False  # that took its time: the robot is looked after in between
         served = self._serving.functions() | self._suspended
-        began = [due for due in new if served.issuperset(due[1].action.functions)]
-        for record, attempt in began:
+        began = [each for each in new if served.issuperset(each.action.functions)]
+        for attempt in began:
             if not self._has_turn(attempt):  # else what it said meanwhile counts
-                said = heard.get(str(attempt.action.ends), EndReport())
-                attempt.progress.heard = said.epoch, said.count
+                said = heard.get(str(attempt.action.ends))
+                attempt.progress.heard = said.count if said else 0
             self.tasks.began(attempt.number, boot_time())
             if begins:
-                self._note_switch(record, attempt, since, is_hit=is_hit)
-        return self._fail_endless([attempt for _, attempt in began])
+                self._note_switch(attempt, since, is_hit=is_hit)
+        return self._fail_endless(began)
 
     def _has_turn(self, attempt: Attempt) -> bool:
         """Return whether its component began with this action, and no other since."""
@@ -250,7 +239,7 @@ class TaskManager:
             if record.state not in OVER
             for attempt in self.tasks.tries(record)
         }
-        for _, attempt in self._due_actions():
+        for attempt in self.tasks.due():
             end, number = attempt.action.ends, attempt.number
             if end is None or attempt.progress.since is None:
                 continue
@@ -285,16 +274,14 @@ class TaskManager:
             live.commit(live.desired.without(gone), why)
         return [name for name in stops if name not in gone]
 
-    def _fail(
-        self, new: list[DueAction], begins: Iterable[str], error: RunError
-    ) -> None:
+    def _fail(self, new: list[Attempt], begins: Iterable[str], error: RunError) -> None:
         """End the actions that cannot begin or go on; the others stay as they are."""
         why = str(error)
         self._live.journal.note("failed", f"an action cannot begin: {why}")
         functions = self._serving.functions_of(begins)
         # of a traceback the last line says most
         short = " ".join(dict.fromkeys([why.splitlines()[0], why.splitlines()[-1]]))
-        for _, attempt in self._due_actions() if functions else new:
+        for attempt in self.tasks.due() if functions else new:
             if not functions or functions.intersection(attempt.action.functions):
                 how = "begin" if attempt.progress.since is None else "go on"
                 what = f"it cannot {how}: {short}"
@@ -318,13 +305,13 @@ class TaskManager:
             except UsageError as error:
                 note("wrong", f"{what}: {error}")
 
-    def _reported_ends(self) -> list[tuple[Attempt, EndReport]]:
+    def _reported_ends(self) -> list[tuple[Attempt, ActionEnd]]:
         """Return the actions that are at work, and that a component says to end."""
-        turns = [each for _, each in self._due_actions() if each.may_be_ended()]
+        turns = [each for each in self.tasks.due() if each.may_be_ended()]
         heard, ended = self._component_reports.ends() if turns else {}, []
         for attempt in turns:
             said = heard.get(str(attempt.action.ends))
-            if said and said.count != attempt.progress.heard[1]:  # it may have moved
+            if said and said.count != attempt.progress.heard:
                 ended.append((attempt, said))
         return ended
 
@@ -379,7 +366,6 @@ class TaskManager:
                 choice,
                 conditions,
                 lambda text: None if is_lookahead else note("decided", text),
-                explore=self._explore,
             )
         except PoiseError as error:
             note("failed", f"the first option of a choice is taken: {error}")
@@ -392,14 +378,12 @@ class TaskManager:
         halted = (r for r in self.tasks.records if r.state in {"waiting", "paused"})
         return self._live.robot.components_for(self.tasks.functions_of(halted))
 
-    def _note_switch(
-        self, record: TaskRecord, attempt: Attempt, since: float, *, is_hit: bool
-    ) -> None:
+    def _note_switch(self, attempt: Attempt, since: float, *, is_hit: bool) -> None:
         seconds = boot_time() - since
         self._live.switches.note(seconds, is_hit=is_hit)
         how = "it was prepared" if is_hit else "it was not prepared"
         text = f"switched to action '{attempt.name}' in {seconds:.3f} s: {how}"
-        facts = {"task": record.name, "is_hit": is_hit, "seconds": seconds}
+        facts = {"task": attempt.task, "is_hit": is_hit, "seconds": seconds}
         self._live.journal.note("done", text, **facts)
 
     def _save(self) -> None:
@@ -415,10 +399,7 @@ class TaskManager:
         def serving(attempt: Attempt) -> tuple[str, ...]:
             return tuple(self._serving.architectures(attempt.action.functions))
 
-        return task_reports(self.tasks, self._upcoming, serving, boot_time())
-
-    def _say(self, text: str) -> None:
-        self._live.journal.note("decided", text)
+        return self.tasks.reports(self._upcoming, serving, boot_time())
 
 
 @cache

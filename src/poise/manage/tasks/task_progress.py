@@ -40,7 +40,7 @@ class Progress(Struct, kw_only=True, omit_defaults=True):
     # manager's computer]; None: they do not
     since: float | None = None
     spent: float = 0.0  # how long they worked before that [s]
-    heard: tuple[int, int] = (0, 0)
+    heard: int = 0  # the `ActionEnd.count` of its component as it began
     why: str = ""
     inside: list[Progress] = []
 
@@ -48,9 +48,13 @@ class Progress(Struct, kw_only=True, omit_defaults=True):
 class Attempt(Struct, frozen=True, kw_only=True):
     """An action that is to run now."""
 
+    task: str
     name: str  # as in phases: with the name of the other task whose step it is
     action: Action
     progress: Progress
+
+    def __str__(self) -> str:
+        return f"action '{self.name}' of task '{self.task}'"
 
     @property
     def number(self) -> int:
@@ -115,11 +119,7 @@ class Steps:
 
     def tries(self, whole: Progress) -> tuple[Attempt, ...]:
         """Return the actions that run now."""
-        return tuple(
-            Attempt(name=prefix + step.name, action=step, progress=progress)
-            for step, progress, prefix in self._walk(self._whole, whole)
-            if isinstance(step, Action)
-        )
+        return tuple(self._attempts(self._whole, whole))
 
     def fit(self, whole: Progress) -> bool:
         """Return whether this is progress of these steps, and not of earlier ones."""
@@ -161,16 +161,21 @@ class Steps:
                 return steps
         return ()
 
-    def _begin(self, step: Step) -> Progress:
+    def _begin(self, step: Step, *, is_ahead: bool = False) -> Progress:
+        """Return the progress of a step that begins, or would; that has no numbers."""
+        index = 0
         match step:
             case Action():
-                return Progress(number=self._number())
+                return Progress(number=0 if is_ahead else self._number())
             case Parallel(steps=steps):
-                return Progress(inside=[self._begin(step) for step in steps])
+                first: Iterable[Step] = steps
             case Choice(steps=steps):
-                index = self._choose(step, False)
-                return Progress(index=index, inside=[self._begin(steps[index])])
-        return Progress(inside=[self._begin(self._of(step)[0])])
+                index = self._choose(step, is_ahead)
+                first = (steps[index],)
+            case _:
+                first = self._of(step)[:1]
+        inside = [self._begin(inner, is_ahead=is_ahead) for inner in first]
+        return Progress(index=index, inside=inside)
 
     def _pairs(self, step: Step, progress: Progress) -> Iterable[tuple[Step, Progress]]:
         """Return what is inside a step with its progress."""
@@ -202,6 +207,16 @@ class Steps:
         for inner, inside in self._pairs(step, progress):
             nodes += self._walk(inner, inside, prefix)
         return nodes
+
+    def _attempts(
+        self, step: Step, progress: Progress, prefix: str = ""
+    ) -> list[Attempt]:
+        task = self._whole.task
+        return [
+            Attempt(task=task, name=inside + action.name, action=action, progress=each)
+            for action, each, inside in self._walk(step, progress, prefix)
+            if isinstance(action, Action)
+        ]
 
     def _prefix(self, step: Step, prefix: str) -> str:
         """Return what the names of actions inside a step begin with."""
@@ -292,16 +307,7 @@ class Steps:
         return self._first(steps[0], prefix) if goes_on else []
 
     def _first(self, step: Step, prefix: str) -> list[Attempt]:
-        match step:
-            case Action():
-                name = prefix + step.name
-                return [Attempt(name=name, action=step, progress=Progress())]
-            case Parallel(steps=steps):
-                return [t for step in steps for t in self._first(step, prefix)]
-            case Choice(steps=steps):
-                index = self._choose(step, True)
-                return self._first(steps[index], prefix)
-        return self._first(self._of(step)[0], self._prefix(step, prefix))
+        return self._attempts(step, self._begin(step, is_ahead=True), prefix)
 
 
 def _instead(action: Action) -> Step:
