@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from time import perf_counter
-from typing import NamedTuple
 
 from msgspec.structs import replace
 
@@ -19,8 +18,7 @@ from poise.manage.adaptation.situation import WANTS_MORE, Situation
 from poise.manage.migration.migration_report import Proposal
 from poise.manage.migration.transition_plan import plan_transition
 from poise.manage.observe.chains import ChainAge
-from poise.manage.observe.estimates import Load
-from poise.model.robot import Computer, Link
+from poise.model.robot import Link
 from poise.units import format_cores, format_seconds
 
 _TAKES = 0.005
@@ -248,40 +246,26 @@ def share_what_is_left(
         bad = [k for k in problem.links if "-".join(k.between) in situation.bad_links]
         problem = plan.with_small_terms(problem, without=bad)
     late = {timer.computer for timer in situation.misses if timer.late}
-    rooms = {c.name: _room(c, situation.loads.get(c.name)) for c in problem.computers}
-    limits = {
-        name: room.usable if name in late else room.all for name, room in rooms.items()
-    }
+    grown = 1 + CPU_HEADROOM  # demands have it already
+    usable, limits = dict[str, float](), dict[str, float]()  # computer -> [cores]
+    beside_others, beside_growth = dict[str, float](), dict[str, float]()
+    for computer in problem.computers:
+        name, total = computer.name, computer.total("cpu")
+        load = situation.loads.get(name)
+        gets = load.background if load else 0.0
+        # on a full computer other programs get less than they want
+        wants = gets * (WANTS_MORE if load and load.is_full else 1.0)
+        left = max(0.0, total - gets)
+        usable[name] = left * (1 - computer.reserve.get("cpu", 0.0))
+        limits[name] = usable[name] if name in late else left * grown
+        beside_growth[name] = max(0.0, total - wants)
+        beside_others[name] = beside_growth[name] * grown
     margins = (
-        plan.Margin({h: r.beside_others for h, r in rooms.items()}, _BACKGROUND),
-        plan.Margin({h: r.beside_growth for h, r in rooms.items()}, _HEADROOM),
-        plan.Margin({h: r.usable for h, r in rooms.items()}, _RESERVE),
+        plan.Margin(beside_others, _BACKGROUND),
+        plan.Margin(beside_growth, _HEADROOM),
+        plan.Margin(usable, _RESERVE),
     )
     return plan.share_cpu(problem, price, limits, margins)
-
-
-class _Room(NamedTuple):
-    """What components may use of a computer [cores]."""
-
-    all: float  # what other programs leave now
-    beside_others: float  # what they leave when they get what they want
-    beside_growth: float  # that, without what demands may grow by
-    usable: float  # all but the reserve
-
-
-def _room(computer: Computer, load: Load | None) -> _Room:
-    total = computer.total("cpu")
-    gets = load.background if load else 0.0
-    # on a full computer other programs get less than they want
-    wants = gets * (WANTS_MORE if load and load.is_full else 1.0)
-    beside_growth = max(0.0, total - wants)
-    grown = 1 + CPU_HEADROOM  # demands have it already
-    return _Room(
-        all=max(0.0, total - gets) * grown,
-        beside_others=beside_growth * grown,
-        beside_growth=beside_growth,
-        usable=max(0.0, total - gets) * (1 - computer.reserve.get("cpu", 0.0)),
-    )
 
 
 def with_costs(problem: plan.Problem, costs: Mapping[str, float]) -> plan.Problem:
