@@ -1,9 +1,7 @@
 """The manager of a robot that is up: carries out commands, and reports deviations.
 
-Any thread may submit a command. Status and stop overtake: a status is the last known
-state, and a stop rolls back what is under way. Everything else is carried out by the
-one thread that calls `work`, which also looks after the robot in between. Nothing here
-runs on a transport's thread.
+The thread that calls `work` carries out commands, and looks after the robot; any thread
+may submit one. A status and a stop overtake what waits.
 """
 
 from __future__ import annotations
@@ -84,10 +82,7 @@ _WHILE_STOPPING = StatusCommand, RecordCommand
 
 
 class Manager:
-    """Looks after a robot that is up.
-
-    `recording`: keeps the samples, and what policies see; None: nothing does.
-    """
+    """Looks after a robot; `recording`: keeps samples, and what policies see."""
 
     def __init__(
         self,
@@ -148,10 +143,7 @@ class Manager:
         return self._stopping.is_set()
 
     def submit(self, command: Command) -> Results:
-        """Take a command, from any thread, at once.
-
-        What only looks is answered on that thread.
-        """
+        """Take a command, from any thread; what only looks is answered there."""
         future: Results = Future()
         if isinstance(command, StopCommand) and self._ended is not None:
             future.set_result(self._ended)
@@ -264,16 +256,16 @@ class Manager:
         text = f"robot '{self._live.robot.name}' has stopped"
         if self._why_over:
             text = "another manager has taken the robot over: ask that one"
-        refusal = Refusal(text, "RunError") if self._why_over else None
-        remaining = self._live.remaining
-        self._ended = refusal or StopReport((remaining,) if remaining else ())
+        refusal, remaining = Refusal(text, "RunError"), self._live.remaining
+        report = StopReport((remaining,) if remaining else ())
+        self._ended = refusal if self._why_over else report
         for future in self._stops:
             _answer(future, self._ended)
         for _, _, future in self._pending:
-            future.set_result(Refusal(text, "RunError"))
+            future.set_result(refusal)
         self._pending.clear()
         while not self._commands.empty():
-            _answer(self._commands.get_nowait()[1], Refusal(text, "RunError"))
+            _answer(self._commands.get_nowait()[1], refusal)
         for _, _, future, result in self._unstored:
             done = Refusal(f"{text}; the command may have taken effect", "RunError")
             future.set_result(result if isinstance(result, Refusal) else done)
@@ -330,10 +322,7 @@ class Manager:
         )
 
     def _begin(self, command: Command, future: Results) -> None:
-        """Carry out a command, but for a migration: its targets are configured first.
-
-        Meanwhile other commands are carried out, and the robot is looked after.
-        """
+        """Carry out a command; of a migration the targets are configured first."""
         result = self._carry_out(command, partial(self._do_or_plan, command))
         if isinstance(result, PendingMigration):
             self._pending.append((command, result, future))
@@ -430,10 +419,7 @@ class Manager:
         return self._reader.read(self.tasks.now())
 
     def _end_of_lead(self) -> tuple[str, float]:
-        """Return why this manager leads no more, and since when [s since 1970].
-
-        Empty: it leads.
-        """
+        """Return why it leads no more, and since when [s since 1970]; or nothing."""
         if self._why_over:  # it has left, also when it could lead again
             return self._why_over, self._over_since
         agents = self._live.agents

@@ -118,7 +118,7 @@ class DeploymentLayout:
         }
         groups: dict[tuple[str, str], list[Incarnation]] = {}
         for incarnation in placed:
-            groups.setdefault(self._home(incarnation), []).append(incarnation)
+            groups.setdefault(self.home_of(incarnation), []).append(incarnation)
         for at, inside in groups.items():
             computer, container = at
             code = inside[0].code or self._robot.deployed
@@ -220,7 +220,7 @@ class DeploymentLayout:
             answers=() if connector.record else self._answers.get(slot, ()),
         )
 
-    def _home(self, incarnation: Incarnation) -> tuple[str, str]:
+    def home_of(self, incarnation: Incarnation) -> tuple[str, str]:
         """Return its computer and its container."""
         return incarnation.computer, self.container_of(incarnation)
 
@@ -297,7 +297,7 @@ class DeploymentLayout:
                     if target.parting and not source.parting:
                         continue
                     spec = self.joined(connector, source, target, gateways)
-                    for home in {self._home(source): 1, self._home(target): 1}:
+                    for home in {self.home_of(source): 1, self.home_of(target): 1}:
                         found.setdefault(home, []).append(spec)
         return found
 

@@ -140,8 +140,7 @@ class Migration:
         )
 
     def _raise_on_successor(self) -> None:
-        successor = self._live.agents.successor()
-        if successor is not None:
+        if successor := self._live.agents.successor():
             raise RunError(
                 f"{successor} took over the robot during the {self._what}: "
                 "`poise status` says where it runs now"
@@ -255,12 +254,14 @@ class Migration:
         time.sleep(LINGER)
         unanswered = self._unanswered
         while unanswered and time.monotonic() < deadline:
-            self._look()
+            with contextlib.suppress(TakenOver):  # that is seen later
+                self._live.check()
             unanswered = self._tell_all(unanswered)
             time.sleep(LINGER)
         if unanswered:
+            names = sorted(f"'{sender.component}'" for sender, _ in unanswered)
             self._note_failure(
-                f"{_names(unanswered)} may still send to the earlier place"
+                f"{', '.join(names)} may still send to the earlier place"
             )
 
     def _send_round(
@@ -307,8 +308,7 @@ class Migration:
         """Send each container its steps; yield these and the outcome as it is known."""
         batches: dict[tuple[str, str], list[PlacedStep]] = {}
         for placed in steps:
-            container = self._live.layout.container_of(placed[0])
-            batches.setdefault((placed[0].computer, container), []).append(placed)
+            batches.setdefault(self._live.layout.home_of(placed[0]), []).append(placed)
         by_number = {next(self._live.batch_numbers): key for key in batches}
         told = [
             (
@@ -335,11 +335,9 @@ class Migration:
         def have_ended() -> bool:
             live.check()
             live.reconcile()
-            away = live.agents.out_of_reach()
+            away = live.agents.out_of_reach().keys()
             is_told = not self._committed_generation or self._is_known()
-            is_told = is_told or all(
-                target.computer in away for target in self._targets
-            )
+            is_told = is_told or away >= {target.computer for target in self._targets}
             return is_told and all(map(live.has_ended, gone))
 
         live.agents.wait_news(have_ended, REMOVE_LIMIT)
@@ -347,11 +345,6 @@ class Migration:
             self._note_failure(
                 f"{named('component', hanging)} did not stop within {REMOVE_LIMIT:g} s"
             )
-
-    def _look(self) -> None:
-        """See what else breaks meanwhile; that another manager took over, later."""
-        with contextlib.suppress(TakenOver):
-            self._live.check()
 
     def _with_losses(self, reason: str) -> str:
         """Return why it rolled back; a loss is known later than what it leads to."""
@@ -374,10 +367,6 @@ class Migration:
                 what = explain(source, found, live.health_of(source))
                 raise RunError(f"{what}: its state cannot be transferred")
         return False
-
-
-def _names(steps: Sequence[PlacedStep]) -> str:
-    return ", ".join(sorted(f"'{sender.component}'" for sender, _ in steps))
 
 
 def _quiescing(answers: Iterable[StepsDone]) -> float:

@@ -207,9 +207,8 @@ class MigrationRounds:
             sender = self._others[connector.between[0].component]
             if sender.computer in self._away:
                 continue
-            container = self._layout.container_of(sender)
-            key = (sender.computer, container)
-            found.setdefault(key, (sender, []))[1].append(connector)
+            home = self._layout.home_of(sender)
+            found.setdefault(home, (sender, []))[1].append(connector)
         return found.values()
 
     def _levels(self) -> list[list[str]]:

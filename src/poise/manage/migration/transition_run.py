@@ -118,19 +118,21 @@ def transit(live: LiveRobot, steps: tuple[TransitionStep, ...]) -> TransitionRep
     """Take the steps of a planned transition; roll all back when one fails."""
     what = f"transition of {counted(len(steps), 'step')}"
     live.journal.note("decided", what, steps=steps)
-    transition = _Transition(live)
+    transition, reason = _Transition(live), ""
     for number, step in enumerate(steps):
         if why := transition.execute(step):
-            reason = (
-                f"step '{step}' failed: {why}{transition.roll_back(steps[:number])}"
-            )
+            troubles = transition.roll_back(steps[:number])
+            reason = f"step '{step}' failed: {why}{troubles}"
             live.journal.note("failed", f"transition rolled back; {reason}")
-            moves = tuple(transition.moves)
-            return TransitionReport(
-                steps=steps, committed=False, reason=reason, moves=moves
-            )
-    live.journal.note("done", "transition", placement=live.placement())
-    return TransitionReport(steps=steps, committed=True, moves=tuple(transition.moves))
+            break
+    else:
+        live.journal.note("done", "transition", placement=live.placement())
+    return TransitionReport(
+        steps=steps,
+        committed=not reason,
+        reason=reason,
+        moves=tuple(transition.moves),
+    )
 
 
 class _Transition:
