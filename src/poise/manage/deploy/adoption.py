@@ -191,16 +191,14 @@ def _replaced(
     committed: Collection[tuple[str, int]],
 ) -> set[str]:
     """Return the components of architectures whose function another one provides."""
-    goals: dict[str, set[str]] = {}
-    for reported in found:
-        goals.setdefault(reported.name, set()).add(reported.goal)
+    found_names = {reported.name for reported in found}
     targets = {name for name, _ in committed}
     best: dict[str, int] = {}
     providers: dict[str, set[str]] = {}
     gone: set[str] = set()
     for architecture in robot.architectures:
-        names = {c.name for c in architecture.components if c.name in goals}
-        reached = set[str]().union(*(goals[name] for name in names))
+        names = {c.name for c in architecture.components} & found_names
+        reached = {reported.goal for reported in found if reported.name in names}
         # only sources stay, and only targets are inactive beside them
         rank = 2 if "active" in reached else int("stay" in reached)
         rank = 3 if names & targets else rank
@@ -247,11 +245,9 @@ def _differences(
         if reported.computer not in allowed[name]:
             reasons[name] = f"it may not run on '{reported.computer}' any more"
             continue
-        has_other_code = _has_other_code(reported, now, robot)
-        if has_other_code:
-            stale[reported.computer, reported.container] = name
         reasons[name] = "; ".join(_changes(reported, now, layout))
-        if has_other_code:
+        if _has_other_code(reported, now, robot):
+            stale[reported.computer, reported.container] = name
             reasons[name] = reasons[name] or "its code has changed"
     for name, reason in sorted(reasons.items()):
         # what a process has imported stays as it is until that ends
@@ -316,15 +312,16 @@ def components_to_hold(
 ) -> frozenset[str]:
     """Return the components that may be at work on a computer that is not claimed."""
     missing = {computer.name for computer in robot.computers} - set(claimed)
-    goals: dict[str, set[str]] = {}
-    for reported in found:
-        goal = "inactive" if reported.computer in fenced else reported.spec.goal
-        goals.setdefault(reported.name, set()).add(goal)
+    active = {
+        reported.name
+        for reported in found
+        if reported.spec.goal == "active" and reported.computer not in fenced
+    }
     allowed = allowed_computers(robot)
     return frozenset(
         name
-        for name in leased_components(robot)
-        if not missing.isdisjoint(allowed[name]) and "active" not in goals.get(name, ())
+        for name in leased_components(robot) - active
+        if not missing.isdisjoint(allowed[name])
     )
 
 

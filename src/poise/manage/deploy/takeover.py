@@ -58,6 +58,21 @@ def start_or_take_over(
     is. `follows`: a standby has no plan of its own, and goes on with the robot as it
     was.
     """
+    try:
+        is_at_work = _take_over(
+            live, is_rule=is_rule, by_force=by_force, follows=follows
+        )
+    except Exception:
+        live.leave()  # no error of a new manager ends a robot that is at work
+        raise
+    if not is_at_work:
+        live.start_all()
+
+
+def _take_over(
+    live: LiveRobot, *, is_rule: bool, by_force: bool, follows: bool
+) -> bool:
+    """Go on with a robot that is at work; return whether it is."""
     everyone = {computer.name for computer in live.robot.computers}
     statuses = live.agents.statuses()
     before = [status.manager for status in statuses.values()]
@@ -74,20 +89,16 @@ def start_or_take_over(
         reported = as_committed(there, live.agents.statuses())
     if record.is_stopped and follows:
         live.end_all("the robot was stopped, and some agents did not know")
-        live.leave()
         raise RunError("the robot was stopped")
     was_idle = record.generation > 0 and follows
     if not reported and not was_idle:
         if away := everyone - live.claimed:
-            live.leave()  # their components may be another manager's
             names = ", ".join(f"'{name}'" for name in sorted(away - unclaimed.keys()))
             lost = f"nothing runs yet, and no agent answers on {names}: start it there"
             raise RunError("; ".join([*unclaimed.values(), *([lost] if names else [])]))
         if follows:
-            live.leave()
             raise RunError("nobody has started the robot")
-        live.start_all()
-        return
+        return False
     said = next((f" of {manager}" for manager in before if manager), "")
     live.journal.note("seen", f"the robot{said} is running: taking it over")
     if by_force or live.agents.election is not None:
@@ -103,17 +114,12 @@ def start_or_take_over(
     statuses = live.agents.statuses()  # a lease may have ended meanwhile
     fenced = {name for name, status in statuses.items() if status.cut_off}
     held = components_to_hold(live.robot, reported, live.claimed, fenced)
-    try:
-        with _giving_way(live):
-            _take_over(
-                live, deployments, unclaimed, reported, held, record, is_rule=is_rule
-            )
-    except Exception:
-        live.leave()  # no error of a new manager ends a robot that is at work
-        raise
+    with _giving_way(live):
+        _go_on(live, deployments, unclaimed, reported, held, record, is_rule=is_rule)
+    return True
 
 
-def _take_over(
+def _go_on(
     live: LiveRobot,
     deployments: Mapping[str, Deployment],
     unclaimed: Mapping[str, str],
@@ -219,7 +225,6 @@ def _elected(
     try:
         answers = live.agents.elect(take_over=by_force)
     except RunError as error:
-        live.leave()
         hint = "" if follows or by_force else _way_out_of(error)
         raise type(error)(f"{error}{hint}") from None
     live.claimed |= answers.keys()
@@ -227,7 +232,6 @@ def _elected(
     found = {n: answer.deployment for n, answer in answers.items() if answer.deployment}
     record = newest_record(found.values())
     if away and record.incarnations() and _may_hold_leases(live, away):
-        live.leave()
         names = ", ".join(f"'{name}'" for name in sorted(away))
         raise RunError(f"the leases of components on {names} may not have ended")
     known = {each.key for each in record.incarnations()}
@@ -328,12 +332,10 @@ def _at_work(
     situation = Situation(
         robot=live.robot, placement=wanted, solve_steps=live.solve_steps
     )
+    first = {name: may[0] for name, may in homes.items()}
     with contextlib.suppress(RobotError):  # what is lacking can run nowhere
-        return {
-            **{name: may[0] for name, may in homes.items()},
-            **placed_beside(situation, homes).placement,
-        }
-    return {name: may[0] for name, may in homes.items()}
+        return {**first, **placed_beside(situation, homes).placement}
+    return first
 
 
 def _committed(
@@ -377,10 +379,9 @@ def _committed(
     # nothing goes on in the container of a target before the commit
     asked &= {(each.computer, each.container) for each in doubted}
     for where in sorted(asked):
-        why = (
-            f"{unknown[where]}: it is stopped, since it may have gone on with the move"
-        )
-        live.journal.note("decided", f"during a migration, {why}")
+        why = "it is stopped, since it may have gone on with the move"
+        what = f"during a migration, {unknown[where]}: {why}"
+        live.journal.note("decided", what)
     if asked:
         _end_containers(live, asked, deployments)
     return frozenset(committed & {each.key for each in targets})
@@ -508,7 +509,7 @@ def _claim(
             deployments |= live.agents.claim({computer}, take_over=by_force)
         except RunError as error:
             if number == 0 and computer in live.computers():
-                live.leave()  # another manager has the robot
+                # another manager has the robot
                 hint = "" if by_force else _way_out_of(error)
                 raise type(error)(f"{error}{hint}") from None
             unclaimed[computer] = str(error)
