@@ -18,8 +18,6 @@ from poise.runtime.hosting.wiring import Runners, Wiring
 from poise.runtime.migration.state_transfer import StateReceiver, StateSender
 from poise.runtime.migration.step_taker import StepTaker
 from poise.runtime.waker import poll_until
-from poise.wire.address import Address
-from poise.wire.connections.channel import Channel
 from poise.wire.connections.connection_server import ConnectionServer
 from poise.wire.records.migration_records import MigrationPhases, Role, Step
 
@@ -52,7 +50,7 @@ class Participant:
                 self.close()
                 with as_usual():  # a large state takes its time, and nobody waits
                     self._receiver = StateReceiver(
-                        runner, step.sources, self.migration, self._channel
+                        runner, step.sources, self.migration, self._server.folder
                     )
                     self._receiver.connect(deadline)
             case "request state":
@@ -85,9 +83,6 @@ class Participant:
         if self._receiver is not None:
             self._receiver.close()
         self._sender = self._receiver = None
-
-    def _channel(self, key: str, address: str) -> Channel:
-        return Channel(key, Address.parse(address), self._server.folder)
 
     def _sending(self) -> StateSender:
         if self._sender is None:
@@ -233,14 +228,12 @@ def check_ports(
     for name, port in after.items():
         known = before.get(name)
         end = f"'{component}.{name}' {_shown(port)}"
-        if known is not None and _meaning(known) != _meaning(port):
+        if known is not None and (
+            known.kind != port.kind or fingerprint(known.type) != fingerprint(port.type)
+        ):
             raise UsageError(f"the types differ: {end}, and before {_shown(known)}")
         if known is None and port.kind in {"requires", "subscribes"}:
             raise UsageError(f"{end}, but no connector joins it")
-
-
-def _meaning(port: Port) -> object:
-    return port.kind, fingerprint(port.type)
 
 
 def _shown(port: Port) -> str:

@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future
 from enum import IntEnum
+from pathlib import Path
 from typing import Any, get_type_hints
 
 import msgspec
@@ -42,6 +43,7 @@ from poise.runtime.migration.state_check import (
 )
 from poise.runtime.waker import poll_until
 from poise.wire import frame
+from poise.wire.address import Address
 from poise.wire.codec import Codec, WireError, codec
 from poise.wire.connections.channel import Channel
 from poise.wire.connections.connection_server import ConnectionServer
@@ -58,8 +60,6 @@ CONNECT_LIMIT = 1.5
 REQUEST_LIMIT = 5.0
 """Sources answer within this time after the request [s]: the pause is about to begin,
 and is shorter."""
-OpenChannel = Callable[[str, str], Channel]
-"""Opens a channel by its key and the address of a container."""
 
 
 class Request(IntEnum):
@@ -238,7 +238,7 @@ class StateReceiver:
         runner: Runner,
         sources: Mapping[str, tuple[int, str]],
         migration: int,
-        open_channel: OpenChannel,
+        folder: Path,
     ) -> None:
         self._runner = runner
         self._sources = sources
@@ -256,7 +256,8 @@ class StateReceiver:
         self._channels: dict[str, Channel] = {}
         for name in self._before:
             epoch, address = sources[name]
-            self._channels[name] = open_channel(key_of(name, epoch, migration), address)
+            key = key_of(name, epoch, migration)
+            self._channels[name] = Channel(key, Address.parse(address), folder)
         self._requested: dict[str, Future[StateTransfer]] = {}
 
     def connect(self, deadline: float) -> None:
