@@ -7,14 +7,14 @@ as if each were a resource of its own.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from math import inf, isqrt
 
 from msgspec import Struct
 from msgspec.structs import replace
 
 from poise.errors import UsageError
-from poise.model.robot import Computer
+from poise.model.robot import Computer, Link
 from poise.plan.problem.items import Edge, Item, SoftLimit
 from poise.plan.problem.problem import LEAST, Problem
 
@@ -64,7 +64,8 @@ def times_of(problem: Problem, index: Mapping[str, int]) -> Times | None:
         [h.speed for h in problem.computers],
         [cores for cores, _ in queues],
         [power for _, power in queues],
-        *_links(problem),
+        _of_links(problem, (0, 0), lambda link: link.latency, max),
+        _of_links(problem, (0, 0), lambda link: 1 / max(link.bandwidth, LEAST), max),
     )
 
 
@@ -72,20 +73,6 @@ def queue_of(computer: Computer) -> tuple[int, int]:
     """Return how many cores runs wait for, and the power in the formula of that."""
     cores = max(1, int(min(computer.capacity.get("cpu", 0.0), MOST_CORES)))
     return cores, max(1, isqrt(2 * (cores + 1)) - 1)
-
-
-def _links(problem: Problem) -> tuple[list[float], list[float]]:
-    """Return latency and seconds per byte: of several links those of the worst."""
-    place = {h.name: i for i, h in enumerate(problem.computers)}
-    m = len(place)
-    latency, per_byte = [0.0] * (m * m), [0.0] * (m * m)
-    for link in problem.links:
-        a, b = (place[name] for name in link.between)
-        slow = 1 / max(link.bandwidth, LEAST)
-        for pair in (a * m + b, b * m + a):
-            latency[pair] = max(latency[pair], link.latency)
-            per_byte[pair] = max(per_byte[pair], slow)
-    return latency if any(latency) else [], per_byte if any(per_byte) else []
 
 
 Placed = list[int]
@@ -210,9 +197,9 @@ def arrays_of(problem: Problem, given: Mapping[str, str] | None = None) -> Array
         _size_weights(problem, resources, limit),
         allowed,
         connectors,
-        _distances(problem, place),
+        _of_links(problem, (0, 1), lambda link: link.distance, lambda _, last: last),
         _linear(problem, place, unit_of, n),
-        _bandwidths(problem, place),
+        _of_links(problem, (inf, inf), lambda link: link.bandwidth, min),
         _apart(problem, unit),
         overhead,
         traffic,
@@ -408,25 +395,26 @@ def _linear(
     return total
 
 
-def _distances(problem: Problem, place: dict[str, int]) -> list[float]:
-    if all(link.distance == 1 for link in problem.links):
-        return []
-    m = len(place)
-    table = [float(a != b) for a in range(m) for b in range(m)]
-    for link in problem.links:
-        a, b = (place[name] for name in link.between)
-        table[a * m + b] = table[b * m + a] = link.distance
-    return table
+def _of_links(
+    problem: Problem,
+    usual: tuple[float, float],
+    value_of: Callable[[Link], float],
+    worse: Callable[[float, float], float],
+) -> list[float]:
+    """Return a value for each pair of computers, (m, m); empty: all are as `usual`.
 
-
-def _bandwidths(problem: Problem, place: dict[str, int]) -> list[float]:
-    if all(link.bandwidth == inf for link in problem.links):
+    `usual` is for a computer with itself, and for two without a link.
+    """
+    here, apart = usual
+    values = [value_of(link) for link in problem.links]
+    if all(value == apart for value in values):
         return []
+    place = {h.name: i for i, h in enumerate(problem.computers)}
     m = len(place)
-    table = [inf] * (m * m)
-    for link in problem.links:
+    table = [float(here if a == b else apart) for a in range(m) for b in range(m)]
+    for link, value in zip(problem.links, values, strict=True):
         a, b = (place[name] for name in link.between)
-        table[a * m + b] = table[b * m + a] = min(link.bandwidth, table[a * m + b])
+        table[a * m + b] = table[b * m + a] = worse(table[a * m + b], value)
     return table
 
 
