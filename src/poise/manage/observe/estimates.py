@@ -151,32 +151,25 @@ _ALL_USED = 0.9
 """Where less than this share is used, CPU was to be had."""
 
 
-class CpuLeft:
-    """Tells where CPU was to be had between two samples of a computer."""
+def with_cpu_left(
+    before: AgentSample | None, after: AgentSample, cores: float
+) -> frozenset[int]:
+    """Return the containers (processes) that could have used more CPU in between.
 
-    def __init__(self, robot: Robot) -> None:
-        self._cores = {c.name: c.own_cores for c in robot.computers}
-        self._before: dict[str, AgentSample] = {}
-
-    def add(self, sample: AgentSample) -> frozenset[int]:
-        """Return the containers (processes) that could have used more CPU.
-
-        The computer had some left, and so had a core, for the interpreter uses one.
-        """
-        before = self._before.get(sample.computer)
-        self._before[sample.computer] = sample
-        if before is None or before.busy is None or sample.busy is None:
-            return frozenset()
-        most = _ALL_USED * (sample.at - before.at)
-        used, cores = sample.busy - before.busy, self._cores.get(sample.computer, 0.0)
-        if not 0 <= used < most * cores:
-            return frozenset()
-        began = {container.pid: container.cpu for container in before.containers}
-        return frozenset(
-            container.pid
-            for container in sample.containers
-            if 0 <= container.cpu - began.get(container.pid, inf) < most
-        )
+    The computer had some of its cores left, and so had a core, for the interpreter
+    uses one.
+    """
+    if before is None or before.busy is None or after.busy is None:
+        return frozenset()
+    most = _ALL_USED * (after.at - before.at)
+    if not 0 <= after.busy - before.busy < most * cores:
+        return frozenset()
+    began = {container.pid: container.cpu for container in before.containers}
+    return frozenset(
+        container.pid
+        for container in after.containers
+        if 0 <= container.cpu - began.get(container.pid, inf) < most
+    )
 
 
 _COUNT_OVER = 2.0
@@ -224,7 +217,8 @@ class Estimates:
     ) -> None:
         self._speeds = {c.name: 1.0 if emulated else c.speed for c in robot.computers}
         self._demands = robot.demands("cpu")
-        self._cpu_left = CpuLeft(robot)
+        self._cores = {c.name: c.own_cores for c in robot.computers}
+        self._before: dict[str, AgentSample] = {}
         self._profile = profile
         self.loads = Loads(robot, emulated=emulated)
         self._lock = threading.Lock()
@@ -238,43 +232,35 @@ class Estimates:
         """Take a sample; return the components whose demand has shifted by it."""
         self.loads.add(sample)
         drifts = []
+        computer, cores = sample.computer, self._cores.get(sample.computer, 0.0)
         with self._lock:
-            with_cpu_left = self._cpu_left.add(sample)
+            had_left = with_cpu_left(self._before.get(computer), sample, cores)
+            self._before[computer] = sample
             for container in sample.containers:
+                is_left, at = container.pid in had_left, container.at
                 for component in container.components:
-                    drift = self._update(
-                        component,
-                        container.at,
-                        sample.computer,
-                        had_cpu_left=container.pid in with_cpu_left,
-                    )
+                    drift = self._update(component, at, computer, had_cpu_left=is_left)
                     if drift is not None:
                         drifts.append((component.name, drift))
                 for connector in container.connectors:
-                    self._count(
-                        (sample.computer, container.name), container.at, connector
-                    )
+                    self._count((computer, container.name), at, connector)
             self._forget_ended(sample)
         return drifts
 
     def demand_estimates(self) -> list[DemandEstimate]:
         """Return how every component stands, by name."""
         with self._lock:
-            known_estimates = [
-                (name, known, known.running.estimate())
+            return [
+                DemandEstimate(
+                    component=name,
+                    computer=known.computer,
+                    expected=known.expected,
+                    demand=self._demands.get(name, 0.0),
+                    estimate=estimate,
+                )
                 for name, known in sorted(self._followed.items())
+                if (estimate := known.running.estimate()) is not None
             ]
-        return [
-            DemandEstimate(
-                component=name,
-                computer=known.computer,
-                expected=known.expected,
-                demand=self._demands.get(name, 0.0),
-                estimate=estimate,
-            )
-            for name, known, estimate in known_estimates
-            if estimate is not None
-        ]
 
     def traffic(self) -> dict[str, ConnectorProfile]:
         """Return connector -> what goes over it now, by name."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Literal, get_args
 
 from poise.manage.agent_connections.statuses import connectors_of, located
@@ -61,12 +61,17 @@ def kind_of(name: str) -> Literal["counter", "gauge", "summary"]:
     return "summary" if name in {*_SUMMARIES, _AGE} else "gauge"
 
 
-def samples(robot: RobotStatus) -> Iterator[Sample]:
-    """Yield the present values; while a component moves, one may come twice.
+def samples(robot: RobotStatus) -> Iterable[Sample]:
+    """Return the present values; what comes twice while a component moves, once.
 
     Of a computer that is out of reach come its counters as they were, and nothing that
     says how it is now.
     """
+    found = {(each[0], *each[1].items()): each for each in _all_samples(robot)}
+    return found.values()
+
+
+def _all_samples(robot: RobotStatus) -> Iterator[Sample]:
     deviations = Counter(deviation.computer for deviation in robot.deviations)
     computers = {*robot.computers, *robot.out_of_reach, *robot.capacities}
     for computer in sorted(computers):
@@ -80,8 +85,7 @@ def samples(robot: RobotStatus) -> Iterator[Sample]:
     yield from _demand_samples(robot)
     yield from _traffic_samples(robot)
     for computer, component in located(robot.computers):
-        yield from _timer_samples(component, computer)
-        yield from _chain_samples(component, computer)
+        yield from _component_samples(component, computer)
     for computer, status in sorted(robot.computers.items()):
         for container in status.containers:
             for end in container.connectors:
@@ -126,16 +130,18 @@ def _sources(robot: RobotStatus, *, is_lost: bool) -> set[str]:
     }
 
 
-def _timer_samples(component: ComponentStatus, computer: str) -> Iterator[Sample]:
-    """Yield how a component's timers kept their rates."""
+def _component_samples(component: ComponentStatus, computer: str) -> Iterator[Sample]:
+    """Yield how its timers kept their rates, and how old the data was that it used."""
+    where = {"component": component.name, "computer": computer}
     for timer in component.timers:
-        labels = {
-            "component": component.name,
-            "timer": timer.name,
-            "computer": computer,
-        }
+        labels = {**where, "timer": timer.name}
         yield "poise_timer_releases_total", labels, timer.releases
         yield "poise_timer_missed_total", labels, timer.missed
+    for chain in component.chains:
+        labels = {**where, "chain": chain.name}
+        yield from _summary_samples(_AGE, labels, chain.age)
+        if chain.deadline is not None:
+            yield "poise_chain_missed_total", labels, chain.missed
 
 
 def _end_samples(labels: dict[str, str], end: ConnectorStatus) -> Iterator[Sample]:
@@ -149,19 +155,6 @@ def _end_samples(labels: dict[str, str], end: ConnectorStatus) -> Iterator[Sampl
         yield from _summary_samples(name, labels, getattr(end, field))
     if end.latency.count:
         yield "poise_connector_latency_error_seconds", labels, end.latency_error
-
-
-def _chain_samples(component: ComponentStatus, computer: str) -> Iterator[Sample]:
-    """Yield how old the data of chains was when a component used it."""
-    for chain in component.chains:
-        labels = {
-            "chain": chain.name,
-            "component": component.name,
-            "computer": computer,
-        }
-        yield from _summary_samples(_AGE, labels, chain.age)
-        if chain.deadline is not None:
-            yield "poise_chain_missed_total", labels, chain.missed
 
 
 def _summary_samples(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+from collections import defaultdict
 from collections.abc import Callable, Iterator
 from functools import partial
 
@@ -58,7 +59,7 @@ class Telemetry:
             shutdown_on_exit=False,
         )
         self._status = status
-        self._found: dict[tuple[object, ...], Observation] = {}
+        self._found: dict[str, list[Observation]] = {}
         meter = self._provider.get_meter("poise")
         for name, unit, says, grows in _instruments():
             create = (
@@ -74,11 +75,10 @@ class Telemetry:
 
     def _observe(self, metric: str, _: CallbackOptions) -> list[Observation]:
         if metric == _FIRST:  # the others are asked for after it, each time
-            self._found = {
-                (name, *labels.items()): Observation(value, labels)
-                for name, labels, value in samples(self._status())
-            }
-        return [seen for key, seen in self._found.items() if key[0] == metric]
+            self._found = defaultdict(list)
+            for name, labels, value in samples(self._status()):
+                self._found[name].append(Observation(value, labels))
+        return self._found.get(metric, [])
 
 
 class _Exporter(OTLPMetricExporter):  # type: ignore[misc]  # it has no types

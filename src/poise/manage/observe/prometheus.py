@@ -39,13 +39,9 @@ class MetricsCollector(Collector):
             name: Metric(name.removesuffix("_total"), meaning, kind_of(name))
             for name, meaning in METRICS.items()
         }
-        values = {
-            (name, *labels.items()): (name, labels, value)
-            for name, labels, value in samples(self._status())
-        }
-        for name, labels, value in values.values():
-            family = families[str(name).removesuffix("_sum").removesuffix("_count")]
-            family.add_sample(str(name), dict(labels), value)
+        for name, labels, value in samples(self._status()):
+            family = families[name.removesuffix("_sum").removesuffix("_count")]
+            family.add_sample(name, dict(labels), value)
         return families.values()
 
 

@@ -24,7 +24,7 @@ from poise.manage.agent_connections.statuses import (
     components_of,
     connectors_of,
 )
-from poise.manage.observe.estimates import CpuLeft, traffic_between
+from poise.manage.observe.estimates import traffic_between, with_cpu_left
 from poise.model.robot import Robot
 from poise.session.profiling.rig import EMPTY, ProfilingRig
 from poise.session.render.tables import failed_calls
@@ -58,13 +58,15 @@ def measure(samples: Iterable[AgentSample], robot: Robot) -> MeasuredUsage:
     """Return the usage from the first to the last of `samples`."""
     by_agent: dict[str, list[AgentSample]] = defaultdict(list)
     by_container: dict[str, list[ContainerSample]] = defaultdict(list)
-    cpu_left, with_cpu_left = CpuLeft(robot), Counter[str]()
+    cores, had_cpu_left = {c.name: c.own_cores for c in robot.computers}, Counter[str]()
     for sample in samples:
-        by_agent[sample.computer].append(sample)
-        there = cpu_left.add(sample)
+        earlier = by_agent[sample.computer]
+        before = earlier[-1] if earlier else None
+        there = with_cpu_left(before, sample, cores.get(sample.computer, 0.0))
+        earlier.append(sample)
         for container in sample.containers:
             by_container[container.name].append(container)
-            with_cpu_left[container.name] += container.pid in there
+            had_cpu_left[container.name] += container.pid in there
     cpu: dict[str, Distribution] = {}
     undone: dict[str, float] = {}
     rest, members, memory = {}, {}, {}
@@ -72,7 +74,7 @@ def measure(samples: Iterable[AgentSample], robot: Robot) -> MeasuredUsage:
     for name, seen in by_container.items():
         readings = _readings(seen)
         cpu |= {c: _distribution(r) for c, r in readings.items()}
-        had_cpu = with_cpu_left[name] >= CPU_LEFT * (len(seen) - 1)
+        had_cpu = had_cpu_left[name] >= CPU_LEFT * (len(seen) - 1)
         undone |= {c: 0.0 if had_cpu else _undone(r) for c, r in readings.items()}
         members[name] = tuple(readings)
         rest[name] = _rate([(s.at, s.cpu) for s in seen]) - sum(
@@ -232,7 +234,11 @@ def figures(
 ) -> Figures:
     """Return the figures of an architecture."""
     names = rig.measured
-    typical = sorted(runs, key=lambda run: _total(run, names))[(len(runs) - 1) // 2]
+
+    def total(run: Observed) -> float:
+        return sum(run.measured.cpu[n].mean for n in names if n in run.measured.cpu)
+
+    typical = sorted(runs, key=total)[(len(runs) - 1) // 2]
     memory = _memory(typical, apart, names)
     shares = _shares(typical, apart, names)
     states = {s.name: s for s in components_of(apart.statuses)}
@@ -280,10 +286,6 @@ def _means(runs: Sequence[Observed], name: str) -> list[float]:
 
 def _spread(means: Sequence[float]) -> float:
     return max(means, default=0.0) - min(means, default=0.0)
-
-
-def _total(run: Observed, names: Iterable[str]) -> float:
-    return sum(run.measured.cpu[n].mean for n in names if n in run.measured.cpu)
 
 
 def _shares(
@@ -367,17 +369,15 @@ def _taken(
         if taken.count:
             wait = alone.waits.get(name, Summary()) if alone else Summary()
             runs = alone.work.get(name, Summary()) if alone else Summary()
-            yield (
-                name,
-                HandlerProfile(
-                    mean=speed * taken.mean,
-                    median=speed * taken.median,
-                    p99=speed * taken.p99,
-                    waiting=wait.count / runs.count if runs.count else None,
-                    wait=wait.median,
-                    wait_p99=wait.p99,
-                ),
+            handler = HandlerProfile(
+                mean=speed * taken.mean,
+                median=speed * taken.median,
+                p99=speed * taken.p99,
+                waiting=wait.count / runs.count if runs.count else None,
+                wait=wait.median,
+                wait_p99=wait.p99,
             )
+            yield name, handler
 
 
 def _connectors(
@@ -398,17 +398,15 @@ def _connectors(
         encoded = apart.measured.connectors.get(key)
         if used is not None and used.rate:
             size = sizes.get(key, Summary())
-            yield (
-                str(connector),
-                structs.replace(
-                    used,
-                    size=encoded.size if encoded else used.size,
-                    median=size.median,
-                    p99=size.p99,
-                    largest=size.maximum,
-                    answering=answering.get(key),
-                ),
+            profile = structs.replace(
+                used,
+                size=encoded.size if encoded else used.size,
+                median=size.median,
+                p99=size.p99,
+                largest=size.maximum,
+                answering=answering.get(key),
             )
+            yield str(connector), profile
 
 
 def _sizes(statuses: Statuses) -> dict[str, Summary]:
