@@ -21,7 +21,6 @@ from poise.emulate.limits import Usage, is_starved, shortages
 from poise.emulate.processes import MARK, stop
 from poise.emulate.registry import (
     ComputerLayout,
-    EmulationLayout,
     KeptSet,
     lay_out,
     register,
@@ -187,7 +186,7 @@ class Emulation:
             if refused:
                 host = replace(host, groups=groups)
                 self._layout = regrouped(self._layout, host)
-            self._make(self._layout, groups, host, refused)
+            self._make(host, refused)
             if kept is not None:
                 why = "" if self._layout.network else "; ".join(host.without_network())
                 kept = replace(
@@ -219,13 +218,11 @@ class Emulation:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _make(
-        self, layout: EmulationLayout, groups: Groups, host: Probe, refused: list[str]
-    ) -> None:
-        computers = {}
+    def _make(self, host: Probe, refused: list[str]) -> None:
+        layout, computers = self._layout, {}
         for computer in layout.computers:
             Path(computer.folder).mkdir(parents=True)
-            groups.make(computer.mark, computer.limits)
+            host.groups.make(computer.mark, computer.limits)
             computers[computer.name] = EmulatedComputer(computer)
         self.computers = MappingProxyType(computers)
         unshaped = _wire(layout.network, host) if layout.network else []

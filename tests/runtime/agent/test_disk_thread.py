@@ -60,7 +60,7 @@ class Stalled:
 
         monkeypatch.setattr(self.folder, "keep", wait_and_keep)
         files = CheckpointFiles(path, sent.append)
-        self.disk = DiskThread(path, self.folder, files, self.clock)
+        self.disk = DiskThread(self.folder, files, self.clock)
         self.disk.start()
 
 

@@ -12,17 +12,20 @@ from poise.errors import Timeout
 from poise.runtime.component.started_calls import StartedCalls
 from poise.runtime.connectors.endpoints import ComponentEndpoints
 from poise.runtime.execution.exclusion import Exclusion
+from poise.runtime.hosting import life_cycle
 from poise.runtime.hosting.life_cycle import ExecutionGate
 
 
-def test_what_hangs_is_not_waited_for_without_limit() -> None:
+def test_what_hangs_is_not_waited_for_without_limit(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(life_cycle, "BORROW_LIMIT", 0.01)
     gate = ExecutionGate(
         "map",
         Exclusion("map"),
         cast("ComponentEndpoints", None),
         StartedCalls("map", lambda do: do()),
         lambda: False,
-        0.01,
     )
     hangs, goes_on = threading.Event(), threading.Event()
 

@@ -131,9 +131,7 @@ def test_a_container_that_starts_again_goes_on_in_its_file(tmp_path: Path) -> No
     assert [o.text for o in read(tmp_path).lines] == ["last words", "born again"]
 
 
-def test_a_component_goes_on_when_the_disk_is_full(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_component_goes_on_when_the_disk_is_full(tmp_path: Path) -> None:
     file = OutputFile(tmp_path, "hall")
     file._fd = os.open("/dev/full", os.O_WRONLY)
     terminal = StringIO()
@@ -141,9 +139,7 @@ def test_a_component_goes_on_when_the_disk_is_full(
     print("still here", file=stream)
     print("and here", file=stream)
     assert terminal.getvalue() == "still here\nand here\n"
-    said = capfd.readouterr().err  # once
-    assert said.startswith("output of 'hall' is not kept: [Errno 28] No space left")
-    assert said.count("\n") == 1
+    assert "writes is not kept: [Errno 28] No space left" in stream.trouble()
 
 
 @pytest.mark.parametrize("starts_again", [False, True])
@@ -188,7 +184,6 @@ def test_a_component_goes_on_when_the_disk_of_its_agents_log_is_full(
 def test_a_file_that_cannot_be_followed_by_another_writes_to_none_of_a_component(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    capfd: pytest.CaptureFixture[str],
     failing: str,
 ) -> None:
     monkeypatch.setattr(output, "LARGEST", 100)
@@ -207,11 +202,11 @@ def test_a_file_that_cannot_be_followed_by_another_writes_to_none_of_a_component
         component.write(b"mine")
     assert its_own.read_bytes() == b"mine"
     assert "after" in [o.text for o in read(tmp_path).lines]
-    assert capfd.readouterr().err.count("no descriptor is free") == 1
+    assert "no descriptor is free" in file.trouble()
 
 
 def test_a_file_that_somebody_removed_is_begun_again_when_it_would_be_full(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(output, "LARGEST", 100)
     file = OutputFile(tmp_path, "hall")
@@ -220,7 +215,7 @@ def test_a_file_that_somebody_removed_is_begun_again_when_it_would_be_full(
     file.add("x" * 100)
     file.add("after")
     assert [o.text for o in read(tmp_path).lines] == ["after"]
-    assert capfd.readouterr().err == ""
+    assert not file.trouble()
 
 
 def test_what_a_destructor_writes_while_a_line_is_kept_holds_nobody_up(

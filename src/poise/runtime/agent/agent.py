@@ -85,15 +85,16 @@ class Agent:
         self._clock = SystemClock()
         self._is_asked_to_end = self._is_leaving = False
         self._service = ServiceNotice()
+        # their sockets and files; those of another user have a folder apart
+        self._containers = Path(setup.folder, "run" if setup.account else "")
         try:
-            socket_path(_containers_folder(setup), "")
+            socket_path(self._containers, "")
         except ValueError as error:
             raise UsageError(f"folder of agent '{setup.computer}': {error}") from error
         self._path = Path(setup.folder)
         self._path.mkdir(mode=0o700, parents=True, exist_ok=True)
         self._folder = AgentFolder(self._path)
         self._left = self._folder.left()
-        self._containers = _containers_folder(setup)
         if setup.account is not None:
             os.umask(0o077)  # its containers pass through its folder
             setup.account.make_folder(self._containers)
@@ -124,14 +125,15 @@ class Agent:
                 signal.signal(number, self._on_signal)
         try:
             with before_components():  # zenoh's threads inherit that
-                self._run_in(self._setup)
+                self._run_in_session()
         finally:
             if self._is_asked_to_end and not self._is_leaving:
                 zygote.end(self._zygote, self._zygote_pid)
             else:  # it stays until the containers have ended
                 self._zygote.close()
 
-    def _run_in(self, setup: AgentSetup) -> None:
+    def _run_in_session(self) -> None:
+        setup = self._setup
         with (
             self._open_gateway() as gateway,
             open_session(
@@ -140,7 +142,6 @@ class Agent:
                 keys=self._keys,
                 serves=setup.robot,
             ) as session,
-            contextlib.ExitStack() as closing,
         ):
             self._say(
                 f"{'witness' if setup.is_witness else 'agent'} of computer "
@@ -150,15 +151,15 @@ class Agent:
             )
             if notice := self._notice():
                 self._say(notice)
-            self._work(session, gateway, closing)
+            disk = self._disk(session)
+            try:
+                self._work(session, gateway, disk)
+            finally:
+                disk.stop()
 
-    def _work(
-        self, session: zenoh.Session, gateway: Gateway, closing: contextlib.ExitStack
-    ) -> None:
-        """Work with an open session; what is opened here is closed by `closing`."""
+    def _work(self, session: zenoh.Session, gateway: Gateway, disk: DiskThread) -> None:
         setup, prefix = self._setup, f"poise/{self._setup.robot}"
         sampler = self._sampler(session)
-        disk = self._disk(session)
         world = self._surroundings(session, gateway, sampler, disk)
         core = self._core = AgentCore(setup, world, self._left)
         self._inbox = AgentInbox(
@@ -181,7 +182,6 @@ class Agent:
                 "this computer may be considered lost (systemd: LimitNICE=-10; a "
                 "user's service also needs it in user@.service)"
             )
-        closing.callback(disk.stop)
         with contextlib.ExitStack() as working:
             working.callback(answers.undeclare)
             working.callback(commands.undeclare)
@@ -297,14 +297,7 @@ class Agent:
         )
         if self._left.wanted is None:
             checkpoints.clear()
-        return DiskThread(
-            self._containers,
-            self._folder,
-            checkpoints,
-            self._clock,
-            self._note(),
-            self._setup.account,
-        )
+        return DiskThread(self._folder, checkpoints, self._clock, self._note())
 
     def _note(self) -> AgentNote | None:
         """Return what lets commands here find the robot; None: its manager does."""
@@ -455,11 +448,6 @@ def _allow_files() -> None:
     most = _MOST_FILES if hard == resource.RLIM_INFINITY else min(hard, _MOST_FILES)
     if soft != resource.RLIM_INFINITY and soft < most:
         resource.setrlimit(resource.RLIMIT_NOFILE, (most, hard))
-
-
-def _containers_folder(setup: AgentSetup) -> Path:
-    """Return where containers have their sockets and files: of another user, apart."""
-    return Path(setup.folder, "run" if setup.account else "")
 
 
 def _code(setup: AgentSetup) -> CodeFolder | None:

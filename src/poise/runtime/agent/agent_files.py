@@ -115,7 +115,7 @@ class _SentFile:
 
 
 class CheckpointFiles:
-    """The checkpoints in the folder of an agent's containers."""
+    """The checkpoints in the folder of containers, which run as `account`."""
 
     def __init__(
         self,
@@ -123,8 +123,8 @@ class CheckpointFiles:
         send: Callable[[CheckpointCopy], object],
         account: Account | None = None,
     ) -> None:
-        self._folder = folder
-        self._account = account
+        self.folder = folder
+        self.account = account
         self._send = send
         self._wanted: tuple[tuple[str, int], ...] = ()
         self._sent: dict[tuple[str, int], _SentFile] = {}
@@ -153,24 +153,24 @@ class CheckpointFiles:
     def remove_all_but(self, wanted: Deployment) -> None:
         """Remove the checkpoints of what is not wanted; raises OSError."""
         kept = {
-            checkpoint_path(self._folder, c.name, c.epoch) for c in wanted.components
+            checkpoint_path(self.folder, c.name, c.epoch) for c in wanted.components
         }
-        with rights_of(self._account):
-            for path in set(self._folder.glob("*.checkpoint")) - kept:
+        with rights_of(self.account):
+            for path in set(self.folder.glob("*.checkpoint")) - kept:
                 path.unlink(missing_ok=True)
 
     def remove(self, of: Collection[tuple[str, int]]) -> None:
         """Remove those of these names and epochs; raises OSError."""
-        with rights_of(self._account):
+        with rights_of(self.account):
             for name, epoch in of:
-                checkpoint_path(self._folder, name, epoch).unlink(missing_ok=True)
+                checkpoint_path(self.folder, name, epoch).unlink(missing_ok=True)
 
     def clear(self) -> None:
         """Remove those of another start of the robot, which has the same epochs."""
         try:
             self.remove_all_but(_NOTHING)
         except OSError as error:
-            log.warning("old checkpoints in %s stay: %s", self._folder, error)
+            log.warning("old checkpoints in %s stay: %s", self.folder, error)
 
     def resend(self) -> None:
         """Send all again: there is another manager."""
@@ -178,7 +178,7 @@ class CheckpointFiles:
 
     def write(self, copy: CheckpointCopy) -> None:
         """Keep a copy for a component that is to start here; OSError: there is none."""
-        path = checkpoint_path(self._folder, copy.component, copy.epoch)
+        path = checkpoint_path(self.folder, copy.component, copy.epoch)
         write_whole(path, copy.data or b"", boot_time() - copy.age)
 
     def age(self, component: str, epoch: int) -> float | None:
@@ -188,7 +188,7 @@ class CheckpointFiles:
 
     def _main(self) -> None:
         self._has_work.wait()  # most robots have no checkpoints
-        with rights_of(self._account):
+        with rights_of(self.account):
             while not self._ended.wait(POLL_EVERY):
                 for copy in self._news():
                     self._send(copy)
@@ -199,7 +199,7 @@ class CheckpointFiles:
             del sent[key]
         self._modified = {k: v for k, v in self._modified.items() if k in self._wanted}
         for component, epoch in self._wanted:
-            path = checkpoint_path(self._folder, component, epoch)
+            path = checkpoint_path(self.folder, component, epoch)
             with contextlib.suppress(OSError):  # there is none yet
                 status = path.stat()
                 self._modified[component, epoch] = status.st_mtime
@@ -264,15 +264,12 @@ class DiskThread:
 
     def __init__(
         self,
-        path: Path,
         folder: AgentFolder,
         checkpoints: CheckpointFiles,
         clock: Clock,
         note: AgentNote | None = None,
-        account: Account | None = None,
     ) -> None:
-        self._path = path  # of its containers, which run as `account`
-        self._account = account
+        self._path, self._account = checkpoints.folder, checkpoints.account
         self._folder = folder
         self._note = note
         self._checkpoints = checkpoints

@@ -122,7 +122,7 @@ class Container:
         self._steps = MigrationExecutor(self._runners, self._wiring, self._server)
         # steps wait for components and for other computers; the control thread must not
         self._step_threads = ThreadPoolExecutor(_STEP_THREADS, "step", go_first)
-        self._outside = OutsideRequests(self._active, self._answer)
+        self._outside = OutsideRequests(self._active, self._tell)
         self._paused: dict[Runner, float] = {}
         self._sparing = Sparing(log)
         self._news_waits_until = 0.0
@@ -163,8 +163,7 @@ class Container:
             self._stop()
 
     def _tell_failure(self, what: PoiseError | str, *, goes_on: bool = False) -> None:
-        with contextlib.suppress(Timeout):
-            self._link.send(ContainerFailure(encodable(str(what)), goes_on))
+        self._tell(ContainerFailure(encodable(str(what)), goes_on))
 
     def _on_signal(self, _signal: int, _frame: FrameType | None) -> None:
         self._stopping = True
@@ -267,18 +266,18 @@ class Container:
         if isinstance(what, Clocks):
             self._clock.others, self._silent = what.known, what.silent
         elif isinstance(what, Tap):
-            self._answer(self._taps.read(what))
+            self._tell(self._taps.read(what))
         elif isinstance(what, PortRequest):
             self._outside.take(what)
         elif isinstance(what, MigrationSteps) and what.steps[0].name == "halt":
             # at once: all threads for steps may be waiting
-            self._answer(self._steps.halt(what))
+            self._tell(self._steps.halt(what))
         elif isinstance(what, MigrationSteps):
             is_paused = what.steps[-1].phase in {"quiesce", "transfer"}
             wait = _WHILE_PAUSED if is_paused else _WHILE_RESUMED
             self._news_waits_until = self._clock.now() + wait
             take = self._steps.receive(what)
-            self._step_threads.submit(lambda: self._answer(take()))
+            self._step_threads.submit(lambda: self._tell(take()))
         else:
             self._steps.note_deployment(what)
             self._wanted, self._news_waits_until = what, 0.0
@@ -308,9 +307,9 @@ class Container:
             )
         return runner.endpoints.observed(ports[name])
 
-    def _answer(self, answer: ContainerAnswer) -> None:
+    def _tell(self, record: ContainerAnswer | ContainerFailure) -> None:
         with contextlib.suppress(Timeout):  # the agent gave up on us
-            self._link.send(answer)
+            self._link.send(record)
 
     def _apply(
         self, spec: ContainerSpec, new: Collection[ComponentKey] | None = None

@@ -148,7 +148,6 @@ class ExecutionGate:
         endpoints: ComponentEndpoints,
         calls: StartedCalls,
         may_resume: Callable[[], bool],
-        borrow_limit: float = BORROW_LIMIT,
         hang: Callable[[], tuple[str, float]] = lambda: ("", 0.0),
     ) -> None:
         self._name = name
@@ -157,7 +156,6 @@ class ExecutionGate:
         self._endpoints = endpoints
         self._calls = calls
         self._may_resume = may_resume
-        self._borrow_limit = borrow_limit
         self._changed = threading.Condition()
         self.is_paused = True
         self._is_borrowed = self._resumes_later = False
@@ -244,12 +242,10 @@ class ExecutionGate:
     def borrowed(self, *, by_hook: bool = False) -> Iterator[None]:
         """Run its code here while it is paused; resume at the end if asked to."""
         with self._changed:
-            if not self._changed.wait_for(
-                lambda: not self._is_borrowed, self._borrow_limit
-            ):
+            if not self._changed.wait_for(lambda: not self._is_borrowed, BORROW_LIMIT):
                 raise Timeout(
                     f"component '{self._name}': its `snapshot`, `restore` or another "
-                    f"hook still runs after {self._borrow_limit:g} s"
+                    f"hook still runs after {BORROW_LIMIT:g} s"
                 )
             if not self.is_paused:
                 raise RunError(f"component '{self._name}' is not paused")

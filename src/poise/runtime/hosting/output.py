@@ -31,7 +31,6 @@ _BEING_WRITTEN = 50_000_000
 _AHEAD = 1_000_000_000
 """What is so much later than now is of before the clock was set back [ns]."""
 _NOW, _BEFORE = ".output", ".output-before"
-_STDERR = 2
 _LOGGERS = "poise.component."
 _here = threading.local()
 
@@ -64,7 +63,6 @@ class OutputFile:
         self._fd = -1
         self._size = 0
         self._is_cut_short = False
-        self._trouble = ""
         self._lost: dict[str, tuple[str, float]] = {}
 
     def add(self, text: str, component: str = "") -> None:
@@ -83,7 +81,6 @@ class OutputFile:
                     self._begin_another()
             except OSError as error:  # the component goes on; all was passed on
                 self.note_lost("kept", error)
-                self._tell(error)
 
     def note_lost(self, where: str, error: OSError) -> None:
         """Note that what was written is not `where` it should be."""
@@ -102,13 +99,6 @@ class OutputFile:
     def unlock(self) -> None:
         """Let a process that was forked write: who held the lock is not there."""
         self._lock = threading.RLock()
-
-    def _tell(self, error: OSError) -> None:
-        if str(error) != self._trouble:
-            self._trouble = str(error)
-            message = f"output of '{self._container}' is not kept: {error}\n"
-            with contextlib.suppress(OSError):
-                os.write(_STDERR, message.encode())
 
     def _write(self, line: bytes) -> None:
         """Add a line, and end one that was cut short before; raises OSError."""

@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import Annotated, Any, NoReturn, get_args, get_origin
 
 from msgspec import Struct, structs
@@ -106,12 +107,12 @@ class OutsideRequests:
         self._answer(answer)
 
     def _outcome(self, request: PortRequest, until: float) -> PortAnswer:
-        number, waited = request.number, time.monotonic() - until + request.limit
+        waited = time.monotonic() - until + request.limit
+        answer = partial(PortAnswer, number=request.number)
         try:
             result = self._done(request, until)
         except CalleeError as error:
-            return PortAnswer(
-                number=number,
+            return answer(
                 outcome="raised",
                 reason=error.message,
                 error_type=error.type_name,
@@ -121,13 +122,13 @@ class OutsideRequests:
             why = str(error)
             if _SHORT < waited < request.limit:
                 why += f", after {waited:.3g} s behind other requests from outside"
-            return PortAnswer(number=number, outcome="late", reason=why)
+            return answer(outcome="late", reason=why)
         except Away as error:
-            return PortAnswer(number=number, outcome="away", reason=str(error))
+            return answer(outcome="away", reason=str(error))
         except PoiseError as error:
             why = encodable(str(error))  # a user's hook may raise one, too
-            return PortAnswer(number=number, outcome="refused", reason=why)
-        return _done_with(number, result)
+            return answer(outcome="refused", reason=why)
+        return _done_with(answer, result)
 
     def _done(self, request: PortRequest, until: float) -> Any:  # noqa: ANN401, a result
         write_as(request.component)
@@ -187,17 +188,17 @@ class OutsideRequests:
         _inside(runner, until, lambda: feed.put(entry))
 
 
-def _done_with(number: int, result: object) -> PortAnswer:
+def _done_with(answer: Callable[..., PortAnswer], result: object) -> PortAnswer:
     """Return what says that a request was carried out, with its result."""
     try:
         value = pack(result)
     except WireError as error:
         why = encodable(f"it was called, but its result is lost: {error}")
-        return PortAnswer(number=number, outcome="cannot cross", reason=why)
+        return answer(outcome="cannot cross", reason=why)
     if value.size > MOST_PACKED:
         why = f"it was called, but its result has {value.size} B, over {MOST_PACKED} B"
-        return PortAnswer(number=number, outcome="cannot cross", reason=why)
-    return PortAnswer(number=number, outcome="done", value=value)
+        return answer(outcome="cannot cross", reason=why)
+    return answer(outcome="done", value=value)
 
 
 def _inside(runner: Runner, until: float, do: Callable[[], object]) -> None:

@@ -75,12 +75,12 @@ class HealthRecords:
         if known and known.state == "stopped":  # its faults are of another session
             del self._of[container]
             known = None
-        restarts = known.restarts if known else 0
         if known and known.state == "restarting":
-            restarts += 1
             recent = self._restarts.setdefault(container, deque(maxlen=_MOST_RESTARTS))
             recent.append(self._clock())
-        self._enter(container, "starting", restarts=restarts)
+            restarts = known.restarts + 1
+            self._of[container] = structs.replace(known, restarts=restarts)
+        self._enter(container, "starting")
 
     def enter(self, container: str, state: ContainerState, reason: str = "") -> None:
         """Record a container's state; harmless when repeated."""
@@ -137,22 +137,13 @@ class HealthRecords:
             records.append(structs.replace(health, **used, restarts_lately=lately))
         return tuple(records)
 
-    def _enter(
-        self,
-        container: str,
-        state: ContainerState,
-        reason: str = "",
-        restarts: int | None = None,
-    ) -> None:
+    def _enter(self, container: str, state: ContainerState, reason: str = "") -> None:
         known = self._of.get(container) or ContainerHealth(
             name=container, state=state, since=0.0
         )
+        since = self._wall()
         self._of[container] = structs.replace(
-            known,
-            state=state,
-            since=self._wall(),
-            reason=reason,
-            restarts=known.restarts if restarts is None else restarts,
+            known, state=state, since=since, reason=reason
         )
 
 
