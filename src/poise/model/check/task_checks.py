@@ -22,87 +22,76 @@ def check_policies(robot: Robot, broken: Collection[str]) -> Iterator[Finding]:
 
     `broken`: those with a wrong value, which they lack here though it is written.
     """
-    known = {policy.name for policy in shipped()}
     written = {policy.name for policy in robot.policies}
     for policy in policies_of(robot.policies):
         if policy.name not in written:
             continue
-        if policy.off:
-            if policy.name not in known:
-                yield _finding(
-                    policy,
-                    "",
-                    f"Poise ships no policy '{policy.name}'"
-                    f"{did_you_mean(policy.name, known)}; policies: {listed(known)}",
-                )
-        elif policy.call:
-            yield from _own_function(policy)
-        else:
-            yield from _one(robot, policy, is_broken=policy.name in broken)
+        for key, text in _wrong(robot, policy, is_broken=policy.name in broken):
+            path = ("policies", policy.name, *([key] if key else []))
+            yield Finding(path, f"policy '{policy.name}': {text}")
 
 
-def _one(robot: Robot, policy: Policy, *, is_broken: bool) -> Iterator[Finding]:
+def _wrong(
+    robot: Robot, policy: Policy, *, is_broken: bool
+) -> Iterator[tuple[str, str]]:
+    """Yield a key of a policy, if it is about one, and what is wrong there."""
     keys = {"for each": policy.for_each, "when": policy.when, "do": policy.do}
-    missing = [key for key, value in keys.items() if value is None]
-    if missing and not is_broken:
-        yield _finding(policy, "", f"a policy of your own needs {listed(missing)}")
+    if policy.off:
+        known = {policy.name for policy in shipped()}
+        if policy.name not in known:
+            likely = did_you_mean(policy.name, known)
+            what = f"Poise ships no policy '{policy.name}'{likely}"
+            yield "", f"{what}; policies: {listed(known)}"
+    elif policy.call:
+        for key, value in {**keys, "to": policy.to, "by": policy.by}.items():
+            if value is not None:
+                text = f"a policy with `call` has no '{key}': its function decides"
+                yield key, text
+    else:
+        missing = [key for key, value in keys.items() if value is None]
+        if missing and not is_broken:
+            yield "", f"a policy of your own needs {listed(missing)}"
+        yield from _wrong_texts(robot, policy)
+        yield from _wrong_action(robot, policy, is_broken=is_broken)
+
+
+def _wrong_texts(robot: Robot, policy: Policy) -> Iterator[tuple[str, str]]:
     if policy.for_each is None or policy.when is None:
         return
     record = SUBJECTS[policy.for_each]
     try:
         parse_condition(policy.when, record, choices_of(robot, policy.for_each))
     except ValueError as error:
-        yield _finding(policy, "when", str(error))
+        yield "when", str(error)
     try:
         check_sentence(policy.say or "", record)
     except ValueError as error:
-        yield _finding(policy, "say", str(error))
-    if policy.do is not None and policy.for_each not in ACTIONS[policy.do]:
-        of = listed(ACTIONS[policy.do])
-        text = f"'{policy.do}' is done for each {of}, not for each '{policy.for_each}'"
-        yield _finding(policy, "do", text)
-    if policy.do == "move" and policy.to is None and not is_broken:
-        yield _finding(policy, "do", "'move' needs 'to', a computer")
-    yield from _targets(robot, policy)
+        yield "say", str(error)
 
 
-def _own_function(policy: Policy) -> Iterator[Finding]:
-    for key, value in (
-        ("for each", policy.for_each),
-        ("when", policy.when),
-        ("do", policy.do),
-        ("to", policy.to),
-        ("by", policy.by),
-    ):
-        if value is not None:
-            text = f"a policy with `call` has no '{key}': its function decides"
-            yield _finding(policy, key, text)
-
-
-def _targets(robot: Robot, policy: Policy) -> Iterator[Finding]:
-    for key, do in (("to", "move"), ("by", "replace")):
-        if getattr(policy, key) is not None and policy.do not in (do, None):
-            yield _finding(policy, key, f"'{key}' is for '{do}', not '{policy.do}'")
-    if policy.do == "replace":
-        yield from _alternatives(robot, policy)
-
-
-def _alternatives(robot: Robot, policy: Policy) -> Iterator[Finding]:
-    """Yield a replacement that no architecture could undergo."""
-    of = Counter(architecture.function for architecture in robot.architectures)
-    if policy.by is None:
-        if max(of.values(), default=0) < 2:  # noqa: PLR2004
-            text = "no function has two architectures, so nothing can be replaced"
-            yield _finding(policy, "do", text)
+def _wrong_action(
+    robot: Robot, policy: Policy, *, is_broken: bool
+) -> Iterator[tuple[str, str]]:
+    do, subject = policy.do, policy.for_each
+    if do is None or subject is None or policy.when is None:
         return
-    for architecture in robot.architectures:
-        if architecture.name == policy.by and of[architecture.function] == 1:
-            yield _finding(
-                policy,
-                "by",
-                f"'{policy.by}' alone provides '{architecture.function}', so it can "
-                "replace none",
-            )
+    if subject not in ACTIONS[do]:
+        yield (
+            "do",
+            f"'{do}' is done for each {listed(ACTIONS[do])}, not for each '{subject}'",
+        )
+    if do == "move" and policy.to is None and not is_broken:
+        yield "do", "'move' needs 'to', a computer"
+    for key, wanted in (("to", "move"), ("by", "replace")):
+        if getattr(policy, key) is not None and do != wanted:
+            yield key, f"'{key}' is for '{wanted}', not '{do}'"
+    of = Counter(architecture.function for architecture in robot.architectures)
+    if do == "replace" and policy.by is None and max(of.values(), default=0) <= 1:
+        yield "do", "no function has two architectures, so nothing can be replaced"
+    for a in robot.architectures:
+        if do == "replace" and a.name == policy.by and of[a.function] == 1:
+            text = f"'{a.name}' alone provides '{a.function}', so it can replace none"
+            yield "by", text
 
 
 def choices_of(robot: Robot, subject: Subject) -> Mapping[str, tuple[str, ...]]:
@@ -120,11 +109,6 @@ def choices_of(robot: Robot, subject: Subject) -> Mapping[str, tuple[str, ...]]:
         "architecture": tuple(a.name for a in robot.architectures),
         "name": names.get(subject, ()),
     }
-
-
-def _finding(policy: Policy, key: str, message: str) -> Finding:
-    path = ("policies", policy.name, *([key] if key else []))
-    return Finding(path, f"policy '{policy.name}': {message}")
 
 
 def check_tasks(robot: Robot, repository: Repository) -> Iterator[Finding]:
