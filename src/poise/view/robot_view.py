@@ -7,8 +7,8 @@ container, so that nothing on the way distorts them.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator
-from typing import NamedTuple
+from collections.abc import Callable, Iterable, Iterator
+from typing import NamedTuple, TypeVar
 
 from msgspec import Struct
 from msgspec.structs import replace
@@ -27,6 +27,7 @@ from poise.wire.records.status_records import (
     ContainerStatus,
 )
 
+P = TypeVar("P")
 SPAN = 3.0
 """Rates are means over this time [s]."""
 
@@ -177,16 +178,12 @@ def _components(before: Status, now: Status) -> Iterator[ComponentRow]:
 
 def _connectors(before: Status, now: Status) -> Iterator[ConnectorRow]:
     """Yield each connector as its source counts it, and what both ends gave up."""
-    past, unknown = dict(containers(before)), now.not_known()
+    unknown = now.not_known()
     ends: dict[str, list[tuple[bool, ConnectorStatus, ConnectorStatus, _Span]]] = {}
-    for key, container in containers(now):
-        first, seconds = _since(past.get(key), container)
-        earlier = {(end.name, end.end): end for end in first.connectors}
-        for end in container.connectors:
-            was = earlier.get((end.name, end.end))
-            is_known = key.computer not in unknown
-            span = seconds if was and is_known else None
-            ends.setdefault(end.name, []).append((is_known, end, was or end, span))
+    of = _since(before, now, lambda c: c.connectors, lambda end: (end.name, end.end))
+    for computer, end, was, seconds in of:
+        is_known = computer not in unknown
+        ends.setdefault(end.name, []).append((is_known, end, was, seconds))
     for name, both in sorted(ends.items()):
         known = [pair for pair in both if pair[0]]
         _, source, was, seconds = min(known or both, key=lambda e: e[1].end == "target")
@@ -245,16 +242,25 @@ def _rate(now: float, before: float, seconds: _Span) -> float | None:
 def _components_since(
     before: Status, now: Status
 ) -> Iterator[tuple[str, ComponentStatus, ComponentStatus, _Span]]:
-    """Yield each component, where it is, how it was earlier, and the time since."""
+    return _since(before, now, lambda c: c.components, lambda each: each.key)
+
+
+def _since(
+    before: Status,
+    now: Status,
+    parts: Callable[[ContainerStatus], Iterable[P]],
+    key_of: Callable[[P], object],
+) -> Iterator[tuple[str, P, P, _Span]]:
+    """Yield where each part of containers is, it, how it was, and the time since."""
     past, unknown = dict(containers(before)), now.not_known()
     for key, container in containers(now):
-        first, seconds = _since(past.get(key), container)
-        earlier = {each.key: each for each in first.components}
-        for component in container.components:
-            was = earlier.get(component.key)
-            is_known = was is not None and key.computer not in unknown
-            span = seconds if is_known else None
-            yield key.computer, component, was or component, span
+        first = past.get(key)
+        seconds = container.at - first.at if first else 0.0
+        earlier = {key_of(part): part for part in parts(first)} if first else {}
+        for part in parts(container):
+            was = earlier.get(key_of(part))
+            is_known = was is not None and seconds > 0 and key.computer not in unknown
+            yield key.computer, part, was or part, seconds if is_known else None
 
 
 class _Key(NamedTuple):
@@ -270,15 +276,6 @@ def containers(status: Status) -> Iterator[tuple[_Key, ContainerStatus]]:
     for computer, agent in sorted(status.computers.items()):
         for container in agent.containers:
             yield _Key(computer, container.name, container.pid), container
-
-
-def _since(
-    first: ContainerStatus | None, now: ContainerStatus
-) -> tuple[ContainerStatus, _Span]:
-    """Return a container's earlier status, and the time since."""
-    if first is None or now.at <= first.at:
-        return now, None
-    return first, now.at - first.at
 
 
 def _traffic(end: ConnectorStatus) -> int:

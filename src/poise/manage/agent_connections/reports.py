@@ -161,10 +161,11 @@ class AgentReports:
         wanted, deadline = set(computers), self._clock.now() + limit
         while not self.wait_news(lambda: wanted <= self.reached(), LOOK_EVERY):
             check()
-            self.raise_on_other_agents(wanted - self.reached())
-            if self._clock.now() < deadline:
-                continue
             missing = sorted(wanted - self.reached())
+            if others := "; ".join(filter(None, map(self.other_agent, missing))):
+                raise RunError(others)
+            if self._clock.now() < deadline or not missing:
+                continue
             reasons = why_silent(missing).items()
             said = [f"{computer}: {why}" for computer, why in reasons if why]
             raise RunError(
@@ -172,12 +173,6 @@ class AgentReports:
                 "`poise agent` running there, and can this computer reach it?"
                 + "".join(f"\n{refusal}" for refusal in [*said, *self.pop_refused()])
             )
-
-    def raise_on_other_agents(self, missing: Iterable[str]) -> None:
-        """Raise RunError when others than the agents of `missing` are there."""
-        others = [self.other_agent(computer) for computer in sorted(missing)]
-        if any(others):
-            raise RunError("; ".join(filter(None, others)))
 
     def other_agent(self, computer: str) -> str:
         """Return whose agent is at a computer's address instead; empty: no other's."""

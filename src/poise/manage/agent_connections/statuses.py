@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import chain
 from typing import TYPE_CHECKING
 
-from poise.clock import time_of_day
 from poise.wire.records.status_records import (
     AgentStatus,
     ComponentStatus,
@@ -134,44 +133,3 @@ def containers_left(statuses: Statuses, computers: Iterable[str]) -> list[str]:
         if name in statuses
         for container in statuses[name].containers
     ]
-
-
-def unreached(
-    out_of_reach: Mapping[str, float],
-    placement: Mapping[str, str],
-    heard: Collection[str],
-    heard_by: Mapping[str, str],
-    reporting: Collection[str],
-    leased: Collection[str],
-) -> dict[str, str]:
-    """Return what is known of each computer that is out of reach, in words.
-
-    `heard`: those that still send heartbeats; `heard_by`: computer -> another one that
-    still hears it; empty: none does; `reporting`: those whose reports still come.
-    """
-    sentences = {}
-    for computer, since in sorted(out_of_reach.items()):
-        began = time_of_day(since)
-        said = [f"computer '{computer}' has been out of reach since {began}"]
-        if computer in reporting:
-            said.append("its reports (TCP) come, but no heartbeats (UDP)")
-        inside = sorted(name for name, at in placement.items() if at == computer)
-        other = heard_by.get(computer)
-        how = f"'{other}' still reaches it" if other else ""
-        if computer in heard:
-            how = "it still sends heartbeats (UDP), but accepts no connection (TCP)"
-        stop = [name for name in inside if name in leased]
-        stay = [name for name in inside if name not in leased]
-        if how:
-            said.append(f"{how}: {_clause(inside, 'keep')} running" if inside else how)
-        else:
-            if stop:
-                said.append(f"{_clause(stop, 'stop')} there when its lease ends")
-            if stay:
-                said.append(f"{', '.join(stay)} may still be at work there")
-        sentences[computer] = "; ".join(said)
-    return sentences
-
-
-def _clause(names: Sequence[str], verb: str) -> str:
-    return f"{', '.join(names)} {verb if len(names) > 1 else verb + 's'}"
