@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from functools import cached_property
-from math import inf
 
 from msgspec import structs
 
-from poise.clock import wall_time
 from poise.errors import RunError
 from poise.manage.agent_connections.statuses import (
     components_of,
@@ -17,11 +15,11 @@ from poise.manage.agent_connections.statuses import (
     located,
     not_at_goals,
     not_joined,
-    unreached,
     unresponsive_containers,
 )
 from poise.manage.deploy.desired import Desired, Incarnation
 from poise.manage.deploy.desired_state import DesiredState
+from poise.manage.deploy.unreached import unreached
 from poise.manage.observe.deviations import (
     Numbers,
     combined,
@@ -46,8 +44,6 @@ ACTIVE_LIMIT = 10.0
 STOP_LIMIT = ENDING_LIMIT + 5.0
 """Containers that were asked to end have ended within this time [s]."""
 _LOOK_EVERY = 0.02
-_REPORTS_WITHIN = 1.0
-"""Agents that are reached report more often [s]."""
 _BACK_WITHIN = 10.0
 """A computer may be out of reach for so long while the robot starts [s]."""
 _CRASHES = 5
@@ -98,14 +94,10 @@ class LiveRobot(DesiredState):
 
     def _left_behind(self, desired: Desired) -> Iterator[Incarnation]:
         """Yield what is to end once something else runs, or has not ended yet."""
-        away, current = self.agents.out_of_reach(), self.current()
+        away = self.agents.out_of_reach()
         wanted = {i.key for i in desired.incarnations() if i.goal == "active"}
         for each in desired.left_behind:
-            is_there = (
-                each.computer in away
-                or each.computer not in current
-                or self.reported(each) is not None
-            )
+            is_there = each.computer in away or not self.has_ended(each)
             if is_there and each.key not in wanted:
                 yield each
         known = wanted.union(each.key for each in desired.left_behind)
@@ -190,25 +182,8 @@ class LiveRobot(DesiredState):
 
     def unreached(self, *, is_brief: bool = False) -> dict[str, str]:
         """Return what is known of computers out of reach; brief: not of components."""
-        out_of_reach = self.agents.out_of_reach()
-        heartbeats = self.agents.heartbeats
-        heard_by = {name: heartbeats.heard_by(name) for name in out_of_reach}
-        heard = set(filter(heartbeats.is_heard, out_of_reach))
-        now, ages = wall_time(), self.agents.ages()
-        reporting = {
-            name
-            for name, since in out_of_reach.items()
-            if now - since > 2 * _REPORTS_WITHIN
-            and ages.get(name, inf) < _REPORTS_WITHIN
-        }
         placement = {} if is_brief else self.placement()
-        said = unreached(
-            out_of_reach, placement, heard, heard_by, reporting, self.layout.leased
-        )
-        return {
-            name: "; ".join(filter(None, (what, self.agents.other_agent(name))))
-            for name, what in said.items()
-        }
+        return unreached(self.agents, placement, self.layout.leased)
 
     def cancel(self) -> None:
         """End what waits for agents: a change of the placement is rolled back."""
@@ -430,7 +405,8 @@ class LiveRobot(DesiredState):
         return False
 
     def raise_on_broken(self, incarnations: Collection[Incarnation]) -> None:
-        """Raise RunError when one failed, or its container does not respond."""
+        """Raise RunError when one is out of reach, has failed, or does not respond."""
+        self.raise_on_unreached(incarnations)
         if stuck := self.unresponsive(incarnations):
             raise RunError("; ".join(stuck))
         where = {incarnation.key: incarnation.computer for incarnation in incarnations}
