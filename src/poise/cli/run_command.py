@@ -197,8 +197,7 @@ def up_command(
             with Interrupts() as interrupts:
                 words = [word for word in sys.argv[1:] if word != "--detach"]
                 values, check = set_ or (), interrupts.check
-                begun = up_detached(robot, file, words, say, check, arguments=values)
-                say(str(begun))
+                up_detached(robot, file, words, say, check, arguments=values)
             if dashboard:
                 say("its log says where the dashboard is")
             return

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Literal
 
-import msgspec
 from msgspec import Struct
+from msgspec.structs import asdict
 from rich.console import RenderableType
 
 from poise.errors import RunError
@@ -179,10 +179,11 @@ class RunReport(Printable, Struct, frozen=True, kw_only=True):
 def _flat(record: Struct, *without: str) -> dict[str, Any]:
     """Return a record's plain values, and its summaries' ones under joined names."""
     found: dict[str, Any] = {}
-    for name, value in msgspec.structs.asdict(record).items():
+    for name, value in asdict(record).items():
         if isinstance(value, Summary):
-            parts = msgspec.structs.asdict(value).items()
-            found |= {f"{name}_{part}": number for part, number in parts}
+            found |= {
+                f"{name}_{part}": number for part, number in asdict(value).items()
+            }
         elif name not in without and not isinstance(value, tuple | Mapping):
             found[name] = value
     return found
@@ -205,7 +206,7 @@ class MeasuredRun(Struct, frozen=True, kw_only=True):
 def located_faults(live: LiveRobot) -> tuple[LocatedFault, ...]:
     """Return what went wrong on its computers since the robot started."""
     return tuple(
-        LocatedFault(computer=computer, **msgspec.structs.asdict(fault))
+        LocatedFault(computer=computer, **asdict(fault))
         for computer, fault in faults_after(live.faults_before, live.agents.statuses())
     )
 

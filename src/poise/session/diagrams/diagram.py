@@ -145,11 +145,7 @@ def _plantuml_join(join: Join) -> Iterator[str]:
         return
     label = _label(join, r"\n")
     arrow = "--" if join.kind == "path" else "..>"
-    yield (
-        f"{source} {arrow} {target} : {label}"
-        if label
-        else (f"{source} {arrow} {target}")
-    )
+    yield f"{source} {arrow} {target}{label and f' : {label}'}"
 
 
 def _label(join: Join, newline: str) -> str:

@@ -132,11 +132,8 @@ class _Column:
                 pairs.append((abs(source.y - target.y), number, join, source, target))
         for _, number, join, source, target in sorted(pairs, key=lambda p: p[:2]):
             low, high = sorted((source.y, target.y))
-            lane = next(
-                (n for n, taken in enumerate(lanes) if _is_free(taken, low, high)),
-                len(lanes),
-            )
-            if lane == len(lanes):
+            free = (n for n, taken in enumerate(lanes) if _is_free(taken, low, high))
+            if (lane := next(free, len(lanes))) == len(lanes):
                 lanes.append([])
             lanes[lane].append((low, high))
             x = first + lane * _LANE
@@ -233,11 +230,8 @@ def _sequence(diagram: SequenceDiagram) -> tuple[list[str], float, float]:
         parts.append(_rect(x - half, 34, 2 * half, 24, _PLAIN, "#444", 3))
         parts.append(_text(x, 51, name, bold=True, anchor="middle"))
     for row, arrow in enumerate(diagram.messages, 1):
-        one, other, y = (
-            xs[place[arrow.source]],
-            xs[place[arrow.target]],
-            high + step * row,
-        )
+        one, other = xs[place[arrow.source]], xs[place[arrow.target]]
+        y = high + step * row
         back = -9 if other > one else 9
         parts.append(f'<path d="M{one:.1f} {y:.1f}H{other:.1f}" stroke="#444"/>')
         parts.append(f'<path d="M{other:.1f} {y:.1f}l{back} -4v8z" fill="#444"/>')

@@ -330,8 +330,7 @@ def computers_of(
     if not robot.is_emulated:
         yield Computers(real_agents(robot))
         return
-    kept = set_for(robot) if use_kept else None
-    if kept is not None:
+    if use_kept and (kept := set_for(robot)) is not None:
         with _kept(robot, kept, say) as computers:
             yield computers
         return

@@ -10,8 +10,6 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from msgspec import Struct
-
 from poise.emulate import set_for
 from poise.errors import PoiseError, RunError, signal_name
 from poise.model.robot import Robot
@@ -25,20 +23,6 @@ _LIMIT = 300.0
 """Computers and robots are up within this time, or something is wrong [s]."""
 _END_LIMIT = 30.0
 """A process that is not wanted any more ends within this time [s]."""
-
-
-class Detached(Struct, frozen=True):
-    """A manager in the background, and the file of what it prints."""
-
-    robot: str
-    process: int
-    log: Path
-
-    def __str__(self) -> str:
-        return (
-            f"robot '{self.robot}' is up, managed by process {self.process}; "
-            f"`poise stop` ends it; log: {self.log}"
-        )
 
 
 class DetachedFailure(RunError):
@@ -57,8 +41,8 @@ def up_detached(
     check: Check,
     *,
     arguments: Sequence[str] = (),
-) -> Detached:
-    """Run `poise WORDS` in the background, on computers that outlive it."""
+) -> None:
+    """Run `poise WORDS` in the background, on computers that outlive it, and say so."""
     keeps = ""
     with contextlib.ExitStack() as undo:
         if robot.is_emulated and set_for(robot) is None:
@@ -82,7 +66,10 @@ def up_detached(
         undo.pop_all()
     if keeps:  # not when this failed, or was interrupted
         say(keeps)
-    return Detached(robot.name, process.pid, log)
+    say(
+        f"robot '{robot.name}' is up, managed by process {process.pid}; `poise stop` "
+        f"ends it; log: {log}"
+    )
 
 
 def _started(words: Sequence[str], log: Path) -> subprocess.Popen[bytes]:

@@ -128,20 +128,14 @@ def _phase(result: plan.Result) -> tuple[RenderableType, ...]:
     chosen = result.architectures.items()
     parts += [escape(f"{what}: by {by}") for what, by in chosen]
     parts += _short(result)
-    parts.append(_terms(result))
+    parts.append(_terms(result, result.objective))
     if result.unknown:
-        parts.append(_line("no demand is known", _missing(result)))
+        is_all = len(result.unknown) == len(result.placement)
+        whose = "any component" if is_all else _some([*result.unknown])
+        cure = "measure it with `poise profile`, or write it into the file"
+        known = f"of {whose}, so none is counted: {cure}"
+        parts.append(_line("no demand is known", known))
     return tuple(parts)
-
-
-def _missing(result: plan.Result) -> str:
-    """Return which demands are not known, and what to do about it."""
-    is_all = len(result.unknown) == len(result.placement)
-    whose = "any component" if is_all else _some([*result.unknown])
-    return (
-        f"of {whose}, so none is counted: measure it with `poise profile`, or write it "
-        "into the file"
-    )
 
 
 def _short(result: plan.Result, where: str = "") -> list[str]:
@@ -292,7 +286,8 @@ def comparison_parts(
     rows.add_row("lower bound", *(_number(results[n].bound) for n in names))
     rows.add_row("proven", *("yes" if results[n].proven else "no" for n in names))
     rows.add_row("feasible", *("yes" if results[n].feasible else "NO" for n in names))
-    rows.add_row("decided in", *(_seconds(results[n]) for n in names))
+    times = (units.format_seconds(results[name].seconds) for name in names)
+    rows.add_row("decided in", *times)
     load = _bar if len(names) <= _MOST_BARS else _share
     placed = [r.objective is not None for r in results.values()]
     used = [_used(problem, result) for result in results.values()]
@@ -361,10 +356,7 @@ def _with_it(rejection: plan.Rejection) -> Iterator[Table]:
     yield rows
 
 
-def _terms(result: plan.Result) -> str:
-    terms = result.objective
-    if terms is None:
-        return ""
+def _terms(result: plan.Result, terms: plan.Terms) -> str:
     parts = [
         f"{name} {_cost(cost)}"
         for name in TERMS
@@ -373,7 +365,8 @@ def _terms(result: plan.Result) -> str:
     known = _known(result.bound, is_least=result.proven)
     return (
         f"F = {_cost(terms.total)} = {' + '.join(parts)} ({result.scale} scale, "
-        f"{result.spread}){known}; by {result.method} in {_seconds(result)}"
+        f"{result.spread}){known}; by {result.method} in "
+        f"{units.format_seconds(result.seconds)}"
         f"{', interrupted' if result.stopped_by == 'interrupted' else ''}"
     )
 
@@ -390,10 +383,6 @@ def _term(result: plan.Result, label: str) -> str:
 
 def _number(value: float | None) -> str:
     return "-" if value is None else _cost(value)
-
-
-def _seconds(result: plan.Result) -> str:
-    return units.format_seconds(result.seconds)
 
 
 def _cost(value: float) -> str:

@@ -10,7 +10,6 @@ from importlib import import_module
 from typing import Any
 
 import rclpy
-from msgspec import Struct
 from rclpy.action import (
     get_action_client_names_and_types_by_node,
     get_action_server_names_and_types_by_node,
@@ -115,14 +114,6 @@ _PARAMETER_SERVICES = {
     "set_parameters_atomically",
 }
 _TOOLS = ("launch_ros_", "rviz", "rqt", "transform_listener_impl_")
-
-
-class _Ends(Struct):
-    """The publishers and subscribers of a topic, and its type."""
-
-    type: str
-    publishers: list[TopicEndpointInfo]
-    subscribers: list[TopicEndpointInfo]
 
 
 def observe(seconds: float) -> Graph:
@@ -242,37 +233,30 @@ class _Observer:
             self._probes[topic] = TopicProbe(self._node, topic, message)
 
     def _topics(self, seconds: float) -> Iterator[Topic]:
-        for name, ends in self._ends().items():
+        for name, types in sorted(self._node.get_topic_names_and_types()):
+            publishers = self._node.get_publishers_info_by_topic(name)
+            subscribers = dict.fromkeys(
+                _full_name(info)
+                for info in self._node.get_subscriptions_info_by_topic(name)
+                if info.node_name != _NAME
+            )
+            if _is_hidden(name) or not (publishers or subscribers):
+                continue
             probe = self._probes.get(name)
             counts = probe.publishers if probe else {}
             flows = []
-            for info in ends.publishers:
+            for info in publishers:
                 count = counts.get(bytes(info.endpoint_gid))
                 node = _full_name(info)
                 flows.append(count.flow(node, seconds) if count else Flow(node=node))
             yield Topic(
                 name=name,
-                type=ends.type,
+                type=types[0],
                 flows=tuple(flows),
-                subscribers=tuple(dict.fromkeys(map(_full_name, ends.subscribers))),
-                quality=_quality(ends.publishers),
+                subscribers=tuple(subscribers),
+                quality=_quality(publishers),
                 unmeasured=self._unmeasured.get(name, ""),
             )
-
-    def _ends(self) -> Mapping[str, _Ends]:
-        found = {}
-        for topic, types in sorted(self._node.get_topic_names_and_types()):
-            if _is_hidden(topic):
-                continue
-            publishers = self._node.get_publishers_info_by_topic(topic)
-            subscribers = [
-                info
-                for info in self._node.get_subscriptions_info_by_topic(topic)
-                if info.node_name != _NAME
-            ]
-            if publishers or subscribers:
-                found[topic] = _Ends(types[0], publishers, subscribers)
-        return found
 
     def _find_nodes(self) -> None:
         """Note the processes of nodes that are new, or why they are not known."""
