@@ -7,7 +7,7 @@ from statistics import fmean, median
 
 import pytest
 
-from poise.runtime.execution.signed_histogram import SignedHistogram
+from poise.runtime.execution.counters import SignedHistogram
 
 
 @pytest.mark.parametrize("middle", [-30.0, -1.0, 0.0, 2.0, 50.0])

@@ -234,7 +234,7 @@ class ReceivingEnd(Struct, frozen=True, kw_only=True):
                 else:
                     feed.put((received.tag, value))
             except WireError as error:
-                counts.refuse(error)
+                counts.refuse()
                 tell(error)
             return None
 

@@ -12,7 +12,7 @@ from math import inf
 from queue import Empty, SimpleQueue
 from typing import Any, Protocol
 
-from poise.errors import UsageError, did_you_mean, listed
+from poise.errors import UsageError, unknown
 from poise.runtime._calls import ComponentCounters
 from poise.runtime.component.ports import Queue
 from poise.runtime.execution.counters import Counts
@@ -174,11 +174,7 @@ class Mailbox:
         """Return how long ago a message came at a port last [s]; inf: none has."""
         inbox = self._inboxes.get(port)
         if inbox is None:
-            known = listed(self._inboxes)
-            raise UsageError(
-                f"there is no subscribed port '{port}'"
-                f"{did_you_mean(port, self._inboxes)}; there are: {known}"
-            )
+            raise UsageError(unknown("subscribed port", port, self._inboxes))
         came = inbox.last_came
         return inf if came is None else time.monotonic() - came
 

@@ -26,12 +26,11 @@ from poise.runtime.component.started_calls import ANSWER, StartedCalls
 from poise.runtime.connectors.endpoints import ComponentEndpoints
 from poise.runtime.connectors.interface import methods
 from poise.runtime.execution.container_lease import LeaseEnd, LeaseEnded
-from poise.runtime.execution.counters import Counts
+from poise.runtime.execution.counters import Counts, SignedHistogram
 from poise.runtime.execution.data_age import DataAges, Stamped
 from poise.runtime.execution.exclusion import Exclusion, Redirected, new_chain
 from poise.runtime.execution.input_watch import InputWatch
 from poise.runtime.execution.mailbox import PortQueue, Work
-from poise.runtime.execution.signed_histogram import SignedHistogram
 from poise.runtime.execution.timers import Releases, Timers, release_offset
 from poise.runtime.hosting.checkpoints import Checkpoints
 from poise.runtime.hosting.handler_times import HandlerTimes

@@ -44,8 +44,8 @@ Handler = Callable[[Frame], Pieces | None]
 It may block, and must not raise. Messages of one channel come one after the other, in
 order.
 """
-Refused = Callable[[WireError], None]
-"""Takes the error of a malformed frame; must not block or raise."""
+Refused = Callable[[], object]
+"""Is told of a malformed frame; must not block or raise."""
 
 LAST_LIMIT = 0.5
 """When it closes, calls under way have this time to be answered [s]."""
@@ -60,10 +60,6 @@ _RESENDING = 5.0
 TCP doubles its pause at each retransmission, and may resume late after a cut [s]."""
 _MOST_CONNECTIONS = 256
 """Connections that a container serves at a time; others are closed at once."""
-
-
-def ignore(_: WireError) -> None:
-    """Ignore it."""
 
 
 class _ServedConnection(Struct, eq=False):
@@ -97,7 +93,9 @@ class ConnectionServer:
         self._neighbours.listen(64)
         threads.daemon(self._main, "accept").start()
 
-    def open(self, connector: str, handler: Handler, refused: Refused = ignore) -> None:
+    def open(
+        self, connector: str, handler: Handler, refused: Refused = lambda: None
+    ) -> None:
         """Receive the frames of `connector` from now on."""
         self._refused[connector] = refused
         self._handlers[connector] = handler
@@ -232,7 +230,8 @@ class ConnectionServer:
         try:
             received = connection.receive()
         except WireError as error:
-            self._refused.get(connector, ignore)(error)
+            if refused := self._refused.get(connector):
+                refused()
             return self._refuse(served, error)
         handler = self._handlers.get(connector)
         if handler is None:
