@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from functools import cache
 from itertools import combinations
 
@@ -10,7 +10,7 @@ from poise.errors import listed
 from poise.model.check.names import components, mentions
 from poise.model.hardware import fits
 from poise.model.robot import LEAST_VOTES, Architecture, ComponentEntry, Computer, Robot
-from poise.model.yaml_tree import Finding, Path
+from poise.model.yaml_tree import Finding
 from poise.units import format_amount
 
 Names = frozenset[str]
@@ -72,50 +72,47 @@ def check_allowed_computers(robot: Robot) -> Iterator[Finding]:
 
 
 def check_demands(robot: Robot) -> Iterator[Finding]:
-    """Yield the demands that are larger than every computer that is allowed."""
-
-    @cache
-    def largest(allowed: Names, resource: str) -> Computer:
-        computers = (host for host in robot.hosts if host.name in allowed)
-        return max(computers, key=lambda computer: computer.usable(resource))
-
-    hosts = allowed_computers(robot)
-    findings: dict[str, list[Finding]] = {a.name: [] for a in robot.architectures}
-    for path, architecture, component in components(robot):
-        if allowed := hosts[component.name]:
-            findings[architecture.name] += _too_large(path, component, allowed, largest)
-    can = {a.function for a in robot.architectures if not findings[a.name]}
+    """Yield demands larger than every computer that is allowed, unless another fits."""
+    found: dict[str, list[Finding]] = {a.name: [] for a in robot.architectures}
+    for architecture, finding in _too_large(robot):
+        found[architecture.name].append(finding)
+    can = {a.function for a in robot.architectures if not found[a.name]}
     for architecture in robot.architectures:
         if architecture.function not in can:
-            yield from findings[architecture.name]
+            yield from found[architecture.name]
 
 
-def _too_large(
-    path: Path,
-    component: ComponentEntry,
-    allowed: Names,
-    largest: Callable[[Names, str], Computer],
-) -> Iterator[Finding]:
-    for resource, amount in component.demand.items():
-        computer = largest(allowed, resource)
-        usable = computer.usable(resource)
-        if not fits(amount, usable):
+def _too_large(robot: Robot) -> Iterator[tuple[Architecture, Finding]]:
+    @cache
+    def largest(allowed: Names, resource: str) -> Computer | None:
+        computers = (host for host in robot.hosts if host.name in allowed)
+        return max(computers, key=lambda host: host.usable(resource), default=None)
+
+    hosts = allowed_computers(robot)
+    for path, architecture, component in components(robot):
+        for resource, amount in component.demand.items():
+            computer = largest(hosts[component.name], resource)
+            if computer is None:  # it may run nowhere, which is said already
+                continue
+            usable = computer.usable(resource)
+            if fits(amount, usable):
+                continue
             key = () if resource in ("cpu", "memory") else ("resources",)
-            yield Finding(
-                (*path, *key, resource),
+            text = (
                 f"component '{component.name}' needs "
                 f"{format_amount(resource, amount)} of {resource}, but the largest "
                 f"computer that it may run on, '{computer.name}', has "
-                f"{format_amount(resource, usable)} usable (capacity x speed - "
-                "reserve)",
+                f"{format_amount(resource, usable)} usable (capacity x speed - reserve)"
             )
+            yield architecture, Finding((*path, *key, resource), text)
 
 
 def check_together_apart(robot: Robot) -> Iterator[Finding]:
     """Yield what is wrong with the sets of components."""
     allowed = allowed_computers(robot)
-    yield from _nowhere_together(robot, allowed)
-    yield from _not_apart(robot, allowed)
+    groups = list(_groups(robot))
+    yield from _nowhere_together(groups, allowed)
+    yield from _not_apart(robot, groups, allowed)
 
 
 def _groups(robot: Robot) -> Iterator[frozenset[str]]:
@@ -127,8 +124,10 @@ def _groups(robot: Robot) -> Iterator[frozenset[str]]:
         yield merged
 
 
-def _nowhere_together(robot: Robot, allowed: Mapping[str, Names]) -> Iterator[Finding]:
-    for index, group in enumerate(_groups(robot)):
+def _nowhere_together(
+    groups: list[Names], allowed: Mapping[str, Names]
+) -> Iterator[Finding]:
+    for index, group in enumerate(groups):
         limits = {name: allowed[name] for name in sorted(group) if allowed.get(name)}
         if limits and not frozenset.intersection(*limits.values()):
             where = "; ".join(
@@ -139,8 +138,9 @@ def _nowhere_together(robot: Robot, allowed: Mapping[str, Names]) -> Iterator[Fi
             )
 
 
-def _not_apart(robot: Robot, allowed: Mapping[str, Names]) -> Iterator[Finding]:
-    groups = tuple(_groups(robot))
+def _not_apart(
+    robot: Robot, groups: list[Names], allowed: Mapping[str, Names]
+) -> Iterator[Finding]:
     for index, names in enumerate(robot.apart):
         distinct = dict.fromkeys(names)
         if len(distinct) > len(robot.hosts):
@@ -150,25 +150,15 @@ def _not_apart(robot: Robot, allowed: Mapping[str, Names]) -> Iterator[Finding]:
                 f"there are only {len(robot.hosts)}",
             )
             continue
-        for pair in combinations(distinct, 2):
-            reason = _why_not_apart(pair, allowed, groups)
-            if reason:
-                both = f"'{pair[0]}' and '{pair[1]}' must be apart, but {reason}"
-                yield Finding(("apart", index), both)
-
-
-def _why_not_apart(
-    pair: tuple[str, str],
-    allowed: Mapping[str, Names],
-    groups: tuple[frozenset[str], ...],
-) -> str:
-    """Return why the two cannot be apart, or nothing."""
-    if any(group.issuperset(pair) for group in groups):
-        return "`together` puts them on one computer"
-    common = frozenset.union(*(allowed.get(name, frozenset()) for name in pair))
-    if len(common) == 1 and all(allowed.get(name) for name in pair):
-        return f"both can run only on '{next(iter(common))}'"
-    return ""
+        for one, two in combinations(distinct, 2):
+            both = f"'{one}' and '{two}' must be apart, but"
+            here = allowed.get(one)
+            if any(group.issuperset((one, two)) for group in groups):
+                text = f"{both} `together` puts them on one computer"
+                yield Finding(("apart", index), text)
+            elif here and len(here) == 1 and here == allowed.get(two):
+                text = f"{both} both can run only on '{next(iter(here))}'"
+                yield Finding(("apart", index), text)
 
 
 def check_checkpoints(robot: Robot) -> Iterator[Finding]:
