@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import os
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -92,7 +91,6 @@ class Journal:
         self._kept: deque[bytes] = deque()
         self._kept_size = 0
         self.forgotten = 0
-        self._recent: deque[JournalEntry] = deque(maxlen=_MOST_RECENT)
         self._refused = ""
         self.file: BackgroundFile | None = None
         self._number = 0
@@ -117,7 +115,8 @@ class Journal:
 
     def recent(self) -> tuple[JournalEntry, ...]:
         """Return the last entries without their facts; any thread may ask."""
-        return tuple(self._recent.copy())
+        last = self.entries(most=_MOST_RECENT)
+        return tuple(msgspec.structs.replace(e, facts=None, number=0) for e in last)
 
     def note(self, kind: EntryKind, what: str, **facts: object) -> None:
         """Add an entry: `what` for people, `facts` for machines."""
@@ -135,7 +134,6 @@ class Journal:
             self._keep(line)
             if self.file is not None:
                 self.file.add(line + b"\n")
-            self._recent.append(msgspec.structs.replace(entry, facts=None, number=0))
             self._say(entry)
         if refused and not self._refused:
             self._refused = refused
@@ -258,12 +256,9 @@ def _parsed(line: bytes) -> JournalEntry | None:
 
 
 def _ends_amid_a_line(path: Path) -> bool:
-    try:
-        with path.open("rb") as file:
-            file.seek(-1, os.SEEK_END)
-            return file.read() != b"\n"
-    except OSError:  # it is empty, or cannot be read
-        return False
+    with contextlib.suppress(OSError):  # it cannot be read
+        return path.read_bytes()[-1:] not in {b"", b"\n"}
+    return False
 
 
 def _last_number(path: Path) -> int:
