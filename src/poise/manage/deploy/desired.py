@@ -92,17 +92,9 @@ class Desired(Struct, frozen=True, kw_only=True):
         """Return all that should be in some container."""
         if self.is_stopped:
             return ()
-        busy = self.placed.keys() | {
-            incarnation.component for incarnation in self.coming
-        }
-        idle = [
-            incarnation
-            for name, incarnation in self.prefetched.items()
-            if name not in busy
-        ]
+        coming = {incarnation.component for incarnation in self.coming}
+        idle = _without(self.prefetched, self.placed.keys() | coming).values()
         wanted = (*self.placed.values(), *self.coming, *self.configured_ahead, *idle)
-        if not self.held:
-            return wanted
         return tuple(
             replace(incarnation, goal="inactive", held=incarnation.goal == "active")
             if incarnation.component in self.held
@@ -148,7 +140,7 @@ class Desired(Struct, frozen=True, kw_only=True):
         return replace(
             self,
             placed={**self.placed, **new},
-            prefetched={n: e for n, e in self.prefetched.items() if n not in new},
+            prefetched=_without(self.prefetched, new),
             coming=(),
         )
 
@@ -156,10 +148,8 @@ class Desired(Struct, frozen=True, kw_only=True):
         """Return this without components, whatever they do."""
         return replace(
             self,
-            placed={n: e for n, e in self.placed.items() if n not in components},
-            prefetched={
-                n: e for n, e in self.prefetched.items() if n not in components
-            },
+            placed=_without(self.placed, components),
+            prefetched=_without(self.prefetched, components),
             coming=tuple(e for e in self.coming if e.component not in components),
         )
 
@@ -194,6 +184,12 @@ class Desired(Struct, frozen=True, kw_only=True):
         return replace(
             self.aiming("active", self.placed.keys()), coming=(), configured_ahead=()
         )
+
+
+def _without(
+    incarnations: Mapping[str, Incarnation], names: Collection[str]
+) -> dict[str, Incarnation]:
+    return {name: each for name, each in incarnations.items() if name not in names}
 
 
 def difference(before: Desired, after: Desired) -> list[str]:

@@ -39,7 +39,7 @@ from poise.model.robot import Robot
 from poise.units import counted
 from poise.wire.heartbeats import LEASES_END_WITHIN
 from poise.wire.records.deployment_records import Deployment
-from poise.wire.records.migration_records import StepsDone, StepsOutcome
+from poise.wire.records.migration_records import StepsDone
 
 _LOOK_EVERY = 0.02
 _TAKE_OVER = "`poise stop` ends the robot, and `poise up --take-over` takes it over"
@@ -364,7 +364,10 @@ def _committed(
     until = live.clock.now() + WITNESS_LIMIT
     while True:
         unknown: dict[tuple[str, str], str] = {}
-        for where, outcome in _halted(live, asked):
+        numbered = dict(zip(live.batch_numbers, sorted(asked), strict=False))
+        halts = [(at, halt(number, name)) for number, (at, name) in numbered.items()]
+        for outcome in live.agents.send_steps(halts):
+            where = numbered[outcome.number]
             if not isinstance(outcome, StepsDone):
                 unknown[where] = outcome.reason
             elif outcome.is_committed or not committed.isdisjoint(outcome.targets):
@@ -412,19 +415,6 @@ def _raise_on_ended_leases(live: LiveRobot, asked: Iterable[tuple[str, str]]) ->
     for computer in sorted({computer for computer, _ in asked}):
         if live.agents.heartbeats.is_cut_off(computer):
             raise RunError(f"the lease of '{computer}' has ended amid the take-over")
-
-
-def _halted(
-    live: LiveRobot, containers: Collection[tuple[str, str]]
-) -> Iterator[tuple[tuple[str, str], StepsOutcome]]:
-    """Let containers go on with nothing of a migration; yield what each answers."""
-    by_number = dict(zip(live.batch_numbers, sorted(containers), strict=False))
-    batches = [
-        (computer, halt(number, container))
-        for number, (computer, container) in by_number.items()
-    ]
-    for outcome in live.agents.send_steps(batches):
-        yield by_number[outcome.number], outcome
 
 
 def _end_containers(

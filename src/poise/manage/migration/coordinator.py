@@ -358,9 +358,7 @@ class Migration:
     def _raise_on_failed(self) -> bool:
         live = self._live
         live.poll()
-        ends = [*self._sources, *self._targets]
-        live.raise_on_unreached(ends)
-        live.raise_on_broken(ends)
+        live.raise_on_broken([*self._sources, *self._targets])
         for source in self._sources:
             found = live.reported(source)
             if found is not None and found.state != "active":

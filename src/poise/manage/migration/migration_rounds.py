@@ -129,14 +129,7 @@ class MigrationRounds:
 
     def _buffer(self) -> Round:
         return [
-            (
-                sender,
-                Step(
-                    "buffer",
-                    connectors=self._lossless(connectors),
-                    lossy=self._lossy_keys(connectors),
-                ),
-            )
+            (sender, Step("buffer", **self._named(connectors)))
             for sender, connectors in self._by_container(self._from)
         ]
 
@@ -144,8 +137,11 @@ class MigrationRounds:
         begin = [c for c in self._before if c.between[0].component == name]
         return _step("pause", self._sources[name], lossy=self._lossy_keys(begin))
 
-    def _lossless(self, connectors: Iterable[Connector]) -> tuple[str, ...]:
-        return tuple(str(c) for c in connectors if str(c) not in self._lossy)
+    def _named(self, connectors: Collection[Connector]) -> dict[str, Any]:
+        """Return what a step says of connectors: the names, and which are lossy."""
+        lossless = (str(c) for c in connectors if str(c) not in self._lossy)
+        lossy = self._lossy_keys(connectors)
+        return {"connectors": tuple(lossless), "lossy": lossy}
 
     def _lossy_keys(self, connectors: Iterable[Connector]) -> dict[str, int]:
         """Return the keys of lossy connectors, and what their subscribers keep."""
@@ -180,12 +176,7 @@ class MigrationRounds:
         for name, theirs in by_receiver.items():
             receiving = self._sources.get(name) or self._others[name]
             if receiving.computer not in self._away:
-                yield _step(
-                    "drain channels",
-                    receiving,
-                    connectors=self._lossless(theirs),
-                    lossy=self._lossy_keys(theirs),
-                )
+                yield _step("drain channels", receiving, **self._named(theirs))
 
     def _release(
         self,

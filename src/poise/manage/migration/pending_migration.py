@@ -151,7 +151,6 @@ class PendingMigration:
 
     def _is_configured(self) -> bool:
         live = self._live
-        live.raise_on_unreached(self._targets)
         live.raise_on_broken(self._targets)
         self._missing = missing = self._unmet()
         if missing and time.monotonic() > self._began + PREPARE_LIMIT:
