@@ -1,8 +1,7 @@
 """Conditions: expressions over the values of one subject, as in `memory > 200 MiB`.
 
-Python's parser reads them, and its compiler gets only what was checked: beside names
-and quantities `and`, `or`, `not`, comparisons and arithmetic. So a condition can
-neither fail at run time nor do anything.
+Python's parser reads them, and its compiler gets only what was checked. So a condition
+can neither fail at run time nor do anything.
 """
 
 from __future__ import annotations

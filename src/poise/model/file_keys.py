@@ -1,9 +1,7 @@
 """How the fields of a robot's records are written in its file.
 
-A field of a record in `poise.model.robot` whose type has a description (`says`) is a
-key of the file. The validator (`poise.model.yaml_validation`), the published schema
-(`poise.model.schema`) and the loader follow from these notes. They bind files only:
-msgspec ignores them.
+A field whose type has a description (`says`) is a key of the file. Validator, schema
+and loader follow from these notes; msgspec ignores them.
 """
 
 from __future__ import annotations
@@ -102,16 +100,13 @@ Address = Annotated[str, note(examples=("10.0.0.1", "[fd00::2]:7447"))]
 
 
 class FileKey(Struct, frozen=True):
-    """A key of the file, and the field of the record that it belongs to.
-
-    Several keys may belong to one `field`, a mapping (`is_entry`).
-    """
+    """A key of the file, and the field of the record that it belongs to."""
 
     field: str
     kind: types.Metadata
     default: object
     is_required: bool
-    is_entry: bool = False
+    is_entry: bool = False  # whether `field` is a mapping with several keys
 
 
 _FOUND: dict[type, Mapping[str, FileKey]] = {}

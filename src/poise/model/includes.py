@@ -25,10 +25,7 @@ _SECTIONS = (
 
 
 def add_prefix(root: Node, prefix: str, problems: list[FileProblem]) -> None:
-    """Prefix the names that a file defines with `prefix`, also where they are used.
-
-    Names of computers, and of what other files define, stay.
-    """
+    """Prefix the names that a file defines, where it uses them, too; no others."""
     assert isinstance(root.value, dict)  # noqa: S101 - the reader has seen to it
     for name in [name for name in root.value if name not in _SECTIONS]:
         problem = f"{name}: a file with a prefix has only {listed(_SECTIONS)}"
@@ -61,10 +58,7 @@ def _refer_ends(
 
 
 def _refer(node: Node | None, names: Container[str] | None, prefix: str) -> None:
-    """Prefix a name among `names`, also before a dot, or each in a list of such.
-
-    None: any name.
-    """
+    """Prefix a name among `names` (None: any), also before a dot, or each in a list."""
     if node is not None and isinstance(node.value, Scalar):
         text = node.value.text
         if names is None or text.partition(".")[0] in names:

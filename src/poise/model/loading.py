@@ -130,10 +130,7 @@ def _too_old(root: Node) -> FileProblem | None:
 def check(
     robot: Robot, repository: Repository, broken: Collection[str] = ()
 ) -> Iterator[Finding]:
-    """Yield every problem of `robot` that shows without its code.
-
-    `broken`: the policies with a wrong value.
-    """
+    """Yield every problem that shows without code; `broken` policies lack a value."""
     yield from check_names(robot)
     yield from check_addresses(robot)
     yield from check_voting(robot)
@@ -159,10 +156,8 @@ MOST_FILES = 100
 def read_tree(path: Path, problems: list[FileProblem], given: Given) -> Node | None:
     """Return the merged tree of a robot file; every problem is added to `problems`.
 
-    Mappings are merged key by key and lists are joined. A single value that is defined
-    twice is a problem. A file that is included twice is read once, unless it is
-    included with a prefix or arguments. UsageError: the file has no argument of a name
-    in `given`.
+    A file that is included twice is read once, unless it is included with a prefix or
+    arguments. UsageError: the file has no argument of a name in `given`.
     """
     reader = _Reader(problems, [], given, {})
     reader.read(path, None, ())

@@ -1,13 +1,8 @@
 """The phases of a task: which actions run at the same time, and what may follow what.
 
-What the file does not say is assumed; `assumed` lists it for people.
-
-A phase is a set of actions. Steps one after another are phases one after another; of
-a choice every branch is one; what is done on failure is one; what is repeated counts
-once. Steps at once run at their own pace: every combination of their phases may come.
-
-How long a run of the task is in a phase, and how often it goes from one to another, is
-what is expected of its steps (`expectations`), each ending independently of the others.
+Steps at once run at their own pace, so every combination of their phases may come. How
+long a run of the task is in a phase, and how often it goes from one to another, is what
+is expected of its steps, each ending independently of the others.
 """
 
 from __future__ import annotations

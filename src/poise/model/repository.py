@@ -32,30 +32,24 @@ GROUP = "poise.architectures"
 
 
 class Place(Struct, frozen=True):
-    """A folder of architecture files.
-
-    `named` is where it is named; `package` is the installed package that it is in.
-    """
+    """A folder of architecture files."""
 
     folder: str
-    named: Location
-    package: str = ""
+    named: Location  # where it is named
+    package: str = ""  # the installed package that it is in
 
     def __str__(self) -> str:
         return f"package {self.package}" if self.package else self.folder
 
 
 class Offer(Struct, frozen=True):
-    """An architecture in the repository.
-
-    `unused` says why the robot passes it over; `does_not_fit`: though a task needs it.
-    """
+    """An architecture in the repository."""
 
     place: Place
     architecture: Architecture
     node: Node
-    unused: str = ""
-    does_not_fit: bool = False
+    unused: str = ""  # why the robot passes it over
+    does_not_fit: bool = False  # whether it is passed over though a task needs it
 
 
 class Repository(Struct, frozen=True):

@@ -300,10 +300,7 @@ RANGE = 100.0
 
 
 def importance(priorities: Iterable[int]) -> dict[int, float]:
-    """Return priority -> how many times more it counts than the lowest, >= 1.
-
-    Only the order of priorities counts.
-    """
+    """Return priority -> how many times as much as the lowest it counts, by order."""
     ranked = sorted(set(priorities))
     steps = len(ranked) - 1
     step = min(STEP, RANGE ** (1 / steps)) if steps > 0 else 1.0

@@ -32,14 +32,11 @@ class UntilKeys(Struct):
 
 
 class Until(Struct, frozen=True, kw_only=True):
-    """A condition over the values of one subject, as in policies.
-
-    `name` is that of the subject; empty for the robot.
-    """
+    """A condition over the values of one subject, as in policies."""
 
     when: str
     subject: Subject = "robot"
-    name: str = ""
+    name: str = ""  # of the subject; empty for the robot
 
 
 def _until(value: str | Mapping[str, str]) -> Mapping[str, str]:

@@ -51,12 +51,9 @@ class Scalar(Struct, frozen=True):
 
 
 class Node(Struct):
-    """A value in the file: a mapping, a list or a scalar.
+    """A value in the file: a mapping, a list or a scalar."""
 
-    `place` is the location of its key, or of the value when it has no key.
-    """
-
-    place: Location
+    place: Location  # of its key, or of the value when it has no key
     value: dict[str, Node] | list[Node] | Scalar
 
 
@@ -107,11 +104,7 @@ class _Bad(Exception):
 
 
 def parse(text: str, file: str, problems: list[FileProblem]) -> Node | None:
-    """Return the tree of a YAML text, or None when it cannot be parsed.
-
-    Every problem is added to `problems`: syntax, duplicate keys, tags, nesting
-    deeper than `DEEPEST`, and more than `MOST` values.
-    """
+    """Return the tree of a YAML text; None: `problems` say why it has none."""
     if special := Reader.NON_PRINTABLE.search(text):
         before = text[: special.start()]
         column = special.start() - before.rfind("\n")

@@ -153,11 +153,7 @@ def conflict(
 def _infeasible_subset(
     problem: Problem, oracle: Oracle
 ) -> tuple[Problem, list[Limit], bool] | None:
-    """Return a part of the problem that cannot hold, and the limits that it breaks.
-
-    And whether it is irreducible: without any one of its components, or of the limits,
-    it is known to hold.
-    """
+    """Return a part that cannot hold, limits it breaks, and if both are irreducible."""
     arrays = arrays_of(problem)
     shortage = min(_shortages(arrays), key=lambda s: len(s.units), default=None)
     hopeless = next(_hopeless(problem, arrays), None)

@@ -1,9 +1,6 @@
 """The placements of all phases so far, and the steps that better them.
 
-Each phase has resources of its own on the same computers, and a component in two
-phases that follow each other is connected to itself: being apart is a move.
-
-F of the whole is the mean of the phases' F over time.
+F of the whole is the mean of the phases' F over time, and what moves cost.
 """
 
 from __future__ import annotations
@@ -171,10 +168,7 @@ class PhaseSearch:
     def _search(
         self, names: Sequence[str], held: Solution, left: float, seed: int
     ) -> dict[str, Result]:
-        """Search for better placements of some phases; empty when one breaks a limit.
-
-        That may be, as the bandwidth of links is left out.
-        """
+        """Search some phases together; empty when a link's bandwidth is not kept."""
         others = {n: h.placement for n, h in held.items() if n not in names}
         parts = []
         for name in names:

@@ -344,10 +344,7 @@ PROOF = 0.5
 
 
 class Effort(NamedTuple):
-    """How long to decide: `seconds` of CPU time, or `steps` to be reproducible.
-
-    `stop` may say that it is enough.
-    """
+    """How long to decide: `seconds` of CPU time, or `steps` to be reproducible."""
 
     seconds: float
     steps: int | None

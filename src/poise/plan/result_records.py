@@ -48,17 +48,13 @@ was interrupted by the user, or proved that nothing can hold."""
 
 
 class Answer(NamedTuple):
-    """What a solver of the core hands back.
+    """What a solver of the core hands back."""
 
-    `placed` is empty when no placement was found. `steps` counts search moves tried, or
-    nodes opened.
-    """
-
-    placed: Placed
+    placed: Placed  # empty: no placement was found
     bound: float
     proven: bool
     stopped_by: str
-    steps: int
+    steps: int  # search moves tried, or nodes opened
 
 
 class ComputerTried(Struct, frozen=True, kw_only=True):

@@ -21,10 +21,7 @@ BUSIEST = 0.9
 
 
 class Part(NamedTuple):
-    """A run (of one component) or a hop (between two): what it takes, and where.
-
-    Where a component has no computer (-1) its run takes what it takes at least.
-    """
+    """A run of a component or a hop between two; without a computer (-1) at least."""
 
     seconds: float
     components: tuple[int, ...]

@@ -110,12 +110,7 @@ def declared_ports(robot: Robot) -> Ports:
 
 
 def check_ports(robot: Robot, ports: Ports) -> Iterator[Finding]:
-    """Yield the connectors whose ends do not fit, as far as `ports` are known.
-
-    Two ends fit when the first publishes what the second subscribes to, or the first
-    requires what the second provides. A required port has one connector, and further
-    ones to architectures that take the place of the one that provides it.
-    """
+    """Yield the connectors whose ends do not fit, as far as `ports` are known."""
     served: dict[str, list[Connector]] = {}
     for path, _, connector in connectors(robot):
         if connector.topic:

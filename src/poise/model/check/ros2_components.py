@@ -1,8 +1,6 @@
 """ROS 2 in a robot file: its checks, and the components that nodes and bridges become.
 
-An executable becomes a command, a node of rclpy and a bridge become components that
-Poise has (`poise.ros2`). So whatever places, starts, measures and moves components
-knows nothing of ROS 2.
+So whatever places, starts, measures and moves components knows nothing of ROS 2.
 """
 
 from __future__ import annotations

@@ -18,10 +18,7 @@ from poise.model.yaml_tree import Finding, Path
 
 
 def check_policies(robot: Robot, broken: Collection[str]) -> Iterator[Finding]:
-    """Yield what is wrong with the policies of a robot.
-
-    `broken`: those with a wrong value, which they lack here though it is written.
-    """
+    """Yield what is wrong with policies; `broken` ones lack a value that is written."""
     written = {policy.name for policy in robot.policies}
     for policy in policies_of(robot.policies):
         if policy.name not in written:
