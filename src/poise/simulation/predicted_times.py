@@ -17,7 +17,7 @@ from msgspec import Struct, structs
 
 from poise.estimate.demands import kinds_together
 from poise.manage.deploy.deployment_layout import DeploymentLayout
-from poise.manage.deploy.desired import Incarnation
+from poise.manage.deploy.desired import Desired, Incarnation
 from poise.model.robot import Chain, Robot
 from poise.runtime.component.ports import Timer
 from poise.simulation._engine import Engine, Executor
@@ -88,7 +88,9 @@ class PlacedComponents:
         incarnations = [
             Incarnation(component=c, computer=h) for c, h in placement.items()
         ]
-        deployments = DeploymentLayout(robot, "").specs(incarnations, 0, {})
+        deployments = DeploymentLayout(robot, "").specs(
+            Desired(coming=tuple(incarnations)), {}
+        )
         agent = _agent(work.agent)
         for computer in robot.computers:
             refilled = choices.random("refills").uniform(0.0, _REFILLED_EVERY)

@@ -8,7 +8,7 @@ from msgspec.structs import replace
 
 from poise.manage.deploy.adoption import Adoption, adopt, found_in, is_half_done
 from poise.manage.deploy.deployment_layout import DeploymentLayout
-from poise.manage.deploy.desired import Incarnation
+from poise.manage.deploy.desired import Desired, Incarnation
 from poise.model.robot import Architecture, ComponentEntry, Robot
 from poise.wire.records.deployment_records import Deployment, Goal
 
@@ -19,7 +19,9 @@ THINKER = Incarnation(component="thinker", computer="right", epoch=2)
 
 
 def told(robot: Robot, *incarnations: Incarnation) -> dict[str, Deployment]:
-    return DeploymentLayout(robot, "/run").specs(incarnations, 7, GATEWAYS)
+    return DeploymentLayout(robot, "/run").specs(
+        Desired(coming=incarnations, generation=7), GATEWAYS
+    )
 
 
 def adopted(

@@ -7,7 +7,7 @@ from msgspec.structs import replace
 
 from poise.manage.deploy.adoption import found_in
 from poise.manage.deploy.deployment_layout import DeploymentLayout
-from poise.manage.deploy.desired import Incarnation
+from poise.manage.deploy.desired import Desired, Incarnation
 from poise.model.robot import Architecture, Chain, ComponentEntry, Computer, Robot
 from poise.wire.records.deployment_records import ChainPart, ComponentSpec, Deployment
 from tests.manage.conftest import connector_names
@@ -18,7 +18,9 @@ ALL = ("grabber", "filter", "heavy", "alone", "driver", "thinker")
 
 def deployments(robot: Robot, **where: str) -> dict[str, Deployment]:
     placed = [Incarnation(component=n, computer=c) for n, c in where.items()]
-    return DeploymentLayout(robot, "/run").specs(placed, 3, GATEWAYS)
+    return DeploymentLayout(robot, "/run").specs(
+        Desired(coming=tuple(placed), generation=3), GATEWAYS
+    )
 
 
 def everything_on(computer: str) -> dict[str, str]:
@@ -126,7 +128,9 @@ def test_while_a_component_moves_both_incarnations_are_joined(robot: Robot) -> N
         Incarnation(component="filter", computer="left"),
         Incarnation(component="filter", computer="right", epoch=1, goal="inactive"),
     ]
-    told = DeploymentLayout(robot, "/run").specs(placed, 1, GATEWAYS)
+    told = DeploymentLayout(robot, "/run").specs(
+        Desired(coming=tuple(placed), generation=1), GATEWAYS
+    )
     keys = {
         connector.key: connector.kind
         for connector in told["left"].containers[0].connectors
@@ -180,7 +184,9 @@ def test_other_code_of_a_component_has_a_container_of_its_own(robot: Robot) -> N
         Incarnation(component="grabber", computer="left", code="b" * 64),
         Incarnation(component="filter", computer="left"),
     ]
-    left = DeploymentLayout(robot, "/run").specs(placed, 3, GATEWAYS)["left"]
+    left = DeploymentLayout(robot, "/run").specs(
+        Desired(coming=tuple(placed), generation=3), GATEWAYS
+    )["left"]
     assert {c.name: c.code for c in left.containers} == {
         "eye..bbbbbbbb": "b" * 64,
         "eye": "a" * 64,

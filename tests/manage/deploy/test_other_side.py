@@ -50,7 +50,9 @@ class Cut:
         self.agents = FakeAgents(*names)
         layout = DeploymentLayout(robot, "/run", code_version=version_of)
         gateways = {name: f"{name}:7000" for name in names}
-        self.told: dict[str, Deployment] = layout.specs(left, 5, gateways)
+        self.told: dict[str, Deployment] = layout.specs(
+            Desired(coming=left, generation=5), gateways
+        )
         for computer, deployment in self.told.items():
             self.agents.begin_deploy(computer, deployment)
         if fenced:
@@ -80,7 +82,9 @@ class Cut:
         if not computer:
             (computer,) = self.agents.gone
         layout = DeploymentLayout(robot, "/run", code_version=version_of)
-        self.agents.left_with[computer] = layout.specs(found, 9, {})[computer]
+        self.agents.left_with[computer] = layout.specs(
+            Desired(coming=found, generation=9), {}
+        )[computer]
         self.agents.strangers.add(computer)
         self.agents.gone.remove(computer)
         for _ in range(3):
@@ -216,7 +220,11 @@ def test_a_move_that_was_half_done_is_committed_when_its_target_works(
     target = Incarnation(component="thinker", computer="left", epoch=7)
     layout = DeploymentLayout(robot, "/run", code_version=version_of)
     left = layout.specs(
-        (GRABBER, target if works else target.with_goal("inactive")), 8, {}
+        Desired(
+            coming=(GRABBER, target if works else target.with_goal("inactive")),
+            generation=8,
+        ),
+        {},
     )
     cut.agents.begin_deploy("left", left["left"])  # so it reports
     cut.heal(GRABBER, target.with_goal("inactive"), robot=robot)
@@ -301,7 +309,9 @@ def test_what_ended_after_it_moved_away_from_the_other_side_does_not_come_back(
     cut.heal(GRABBER, there, robot=robot)
     assert cut.goals("thinker") == []
     layout = DeploymentLayout(robot, "/run", code_version=version_of)
-    cut.agents.begin_deploy("left", layout.specs([GRABBER, there], 1, {})["left"])
+    cut.agents.begin_deploy(
+        "left", layout.specs(Desired(coming=(GRABBER, there), generation=1), {})["left"]
+    )
     agents = cast("Agents", cut.agents)
     cut.run = LiveRobot(robot, PLACEMENT, agents, cut.journal, "/run")
     cut.take_over()
@@ -340,7 +350,7 @@ def test_what_was_fenced_on_two_computers_goes_on_where_it_is_later(
     robot = replace(robot, computers=(*robot.computers, middle))
     layout = DeploymentLayout(robot, "/run", code_version=version_of)
     old = replace(THINKER, computer="left", epoch=3)
-    told = layout.specs([old, THINKER], 5, {})
+    told = layout.specs(Desired(coming=(old, THINKER), generation=5), {})
     names = {"left", "right", "middle"}
     desired, claimed = Desired(placed={}), {"middle"}
     for joined in [{"left", "right"}] if together else [{"left"}, {"right"}]:
@@ -362,7 +372,7 @@ def test_an_architecture_on_two_computers_joins_from_one_after_the_other(
     robot = replace(robot, computers=(*robot.computers, middle))
     layout = DeploymentLayout(robot, "/run", code_version=version_of)
     heavy = Incarnation(component="heavy", computer="right")
-    told = layout.specs([GRABBER, heavy], 5, {})
+    told = layout.specs(Desired(coming=(GRABBER, heavy), generation=5), {})
     desired, claimed = Desired(placed={}), {"middle"}
     for computer in "left", "right":
         found = found_in({computer: told[computer]})
@@ -376,7 +386,9 @@ def test_what_an_earlier_manager_held_is_no_target_of_a_migration(robot: Robot) 
     layout = DeploymentLayout(robot, "/run", code_version=version_of)
     desired = Desired(placed={"thinker": THINKER}, held=frozenset({"thinker"}))
     old = replace(THINKER, computer="left", epoch=3)
-    found = found_in(layout.specs([old, *desired.incarnations()], 5, {}))
+    found = found_in(
+        layout.specs(Desired(coming=(old, *desired.incarnations()), generation=5), {})
+    )
     assert {each.spec.goal for each in found} == {"active", "inactive"}
     counts = authoritative(found, robot)
     assert counts["thinker"].incarnation == THINKER
@@ -394,7 +406,9 @@ def test_what_another_architecture_of_its_function_takes_the_place_of_does_not_j
     placed = {"dreamer": new.with_goal("active")}
     before = Desired(coming=(new,)) if starts else Desired(placed=placed)
     layout = DeploymentLayout(robot, "/run", code_version=version_of)
-    found = found_in({"right": layout.specs([THINKER], 5, {})["right"]})
+    found = found_in(
+        {"right": layout.specs(Desired(coming=(THINKER,), generation=5), {})["right"]}
+    )
     desired = joined_by(before, robot, found, {"left"}, set(), set())
     assert desired.placed == before.placed
     assert joined_by(Desired(), robot, found, {"left"}, set(), set()).placed

@@ -12,6 +12,7 @@ from poise.errors import RunError
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.reports import LOOK_EVERY
 from poise.manage.agent_connections.requests import ANSWER_LIMIT, PendingAnswer
+from poise.manage.deploy.desired import Desired
 from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.deploy.reconciler import (
     APPLY_LIMIT,
@@ -169,7 +170,7 @@ def test_nothing_is_told_before_what_was_found_is_known(rig: Rig) -> None:
     """An agent may report that it obeys before its answer to the claim is looked at."""
     rig.run.claimed.discard("right")
     there = structs.replace(rig.run.placed["thinker"], epoch=7)
-    plan = rig.run.layout.specs([there], 9, {})["right"]
+    plan = rig.run.layout.specs(Desired(coming=(there,), generation=9), {})["right"]
     rig.agents.left_with["right"] = plan
     rig.agents.strangers.add("right")
     rig.run.reconcile()  # it obeys from now on
@@ -263,7 +264,9 @@ def joining(
 ) -> JoiningComputer:
     """Return the right computer, on which the thinker is found."""
     found = structs.replace(rig.run.placed["thinker"], goal=goal, held=held)
-    deployment = rig.run.layout.specs([found], 9, {})["right"]
+    deployment = rig.run.layout.specs(Desired(coming=(found,), generation=9), {})[
+        "right"
+    ]
     copy = CheckpointCopy(component="thinker", epoch=0, data=b"x", age=1.0)
     return JoiningComputer(
         "right",

@@ -11,7 +11,7 @@ from typing import Any
 
 from msgspec import Struct, structs
 
-from poise.manage.deploy.desired import Incarnation
+from poise.manage.deploy.desired import Desired, Incarnation
 from poise.model.check.allowed_computers import leased_components
 from poise.model.robot import (
     Action,
@@ -99,19 +99,10 @@ class DeploymentLayout:
         return f"{gateways.get(target.computer, _NOT_KNOWN)}/{container}"
 
     def specs(
-        self,
-        incarnations: Iterable[Incarnation],
-        generation: int,
-        gateways: Mapping[str, str],
-        preparation_cpu: Mapping[str, float] = {},
-        parameters: Mapping[str, Mapping[str, Any]] = {},
+        self, desired: Desired, gateways: Mapping[str, str]
     ) -> dict[str, Deployment]:
-        """Return what should run on each computer, by its name.
-
-        `preparation_cpu`: computer -> CPU for what is being prepared there [cores].
-        `parameters`: component -> those that were set since the start.
-        """
-        placed = tuple(incarnations)
+        """Return what should run on each computer, by its name."""
+        placed = desired.incarnations()
         connectors = self._connectors(placed, gateways)
         containers: dict[str, list[ContainerSpec]] = {
             computer.name: [] for computer in self._robot.computers
@@ -129,13 +120,15 @@ class DeploymentLayout:
                     folder="" if code else self._robot.folder,
                     weight=weight.weight,
                     nice=weight.nice,
-                    preparation_cpu=preparation_cpu.get(computer, 0.0)
+                    preparation_cpu=desired.preparation_cpu.get(computer, 0.0)
                     if all(each.unjoined and each.gently for each in inside)
                     else 0.0,
                     repository=() if code else self._robot.repository,
                     code=code,
                     components=tuple(
-                        self.component_spec(each, parameters.get(each.component, {}))
+                        self.component_spec(
+                            each, desired.parameters.get(each.component, {})
+                        )
                         for each in inside
                     ),
                     connectors=tuple(connectors.get(at, ())),
@@ -145,7 +138,7 @@ class DeploymentLayout:
         kept = tuple(sorted(codes - {""}))
         return {
             computer: Deployment(
-                generation=generation, containers=tuple(specs), code=kept
+                generation=desired.generation, containers=tuple(specs), code=kept
             )
             for computer, specs in containers.items()
         }

@@ -265,13 +265,7 @@ class DesiredState:
                 computer: structs.replace(
                     spec, desired=encoded, term=term, is_last=is_last
                 )
-                for computer, spec in self.layout.specs(
-                    self.desired.incarnations(),
-                    self.desired.generation,
-                    now[1],
-                    self.desired.preparation_cpu,
-                    self.desired.parameters,
-                ).items()
+                for computer, spec in self.layout.specs(self.desired, now[1]).items()
             }
             self._deployed_for = now
         for computer, deployment in self._deployments.items():
