@@ -15,6 +15,7 @@ from msgspec import Struct, structs
 from poise.errors import PoiseError, signal_name
 from poise.manage.adaptation import policy_process
 from poise.manage.adaptation.policy_process import IMPORT_LIMIT, LIMIT, FunctionAnswer
+from poise.manage.adaptation.when_to_act import Backoff
 from poise.model.condition import Condition, parse_condition, sentence
 from poise.model.policy import (
     ACTIONS,
@@ -45,8 +46,7 @@ class OwnFunction:
         self._actions: tuple[PolicyAction, ...] = ()
         self._asked_at: float | None = None
         self._limit = IMPORT_LIMIT
-        self._start_at = float("-inf")
-        self._again = _AGAIN
+        self._backoff = Backoff(_AGAIN, _LONGEST)
         self.trouble = ""  # what is wrong with it, for people
 
     def ask(self, seen: Seen, *, waits: bool = False) -> tuple[PolicyAction, ...]:
@@ -70,7 +70,7 @@ class OwnFunction:
             self._process = None
 
     def _ask(self, seen: Seen) -> None:
-        if self._process is None and seen.at >= self._start_at:
+        if self._process is None and seen.at >= self._backoff.again_at:
             self._start()
         if self._process is None:
             return
@@ -99,7 +99,7 @@ class OwnFunction:
         self._asked_at, self._limit = None, LIMIT
         self._actions = answer.actions
         if not answer.error:
-            self._again = _AGAIN
+            self._backoff.reset()
         self.trouble = answer.error and f"'{self._reference}' failed: {answer.error}"
 
     def _start(self) -> None:
@@ -121,8 +121,7 @@ class OwnFunction:
         """Kill its process, and start another one later."""
         process = self._process
         self._actions, self._asked_at = (), None
-        self._start_at, again = now + self._again, self._again
-        self._again = min(2 * self._again, _LONGEST)
+        again = self._backoff.start(now)
         if process is not None:
             process.kill()
             code = process.wait()  # one that had ended by itself keeps its own

@@ -69,7 +69,7 @@ def _computers(situation: Situation) -> Iterator[Values]:
 def _components(situation: Situation) -> Iterator[Values]:
     statuses = _current(situation)
     states = {
-        (computer, component.name): (component, container)
+        (computer, component.name): (component, container.name)
         for computer, status in statuses.items()
         for container in status.containers
         for component in container.components
@@ -79,16 +79,14 @@ def _components(situation: Situation) -> Iterator[Values]:
         for computer, status in statuses.items()
         for health in status.health
     }
-    demands = {
-        demand.component: demand.estimate for demand in situation.demand_estimates
-    }
+    demands = {each.component: each.estimate for each in situation.demand_estimates}
     for architecture in situation.robot.architectures:
         for entry in architecture.components:
             if (computer := situation.placement.get(entry.name)) is None:
                 continue
             demand = demands.get(entry.name)
             now = demand if computer not in situation.unreached else None
-            component, container = states.get((computer, entry.name), (None, None))
+            component, container = states.get((computer, entry.name), (None, ""))
             yield ComponentValues(
                 name=entry.name,
                 computer=computer,
@@ -101,9 +99,7 @@ def _components(situation: Situation) -> Iterator[Values]:
                 hung=component.hung if component else nan,
                 long_job=now.long_job if now else nan,
                 errors=component.errors if component else 0,
-                memory=memory.get((computer, container.name), nan)
-                if container
-                else nan,
+                memory=memory.get((computer, container), nan),
             )
 
 

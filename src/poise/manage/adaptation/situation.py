@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
-from collections.abc import Set as AbstractSet
+from collections.abc import Callable, Collection, Mapping
 from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 from msgspec import Struct
 from msgspec.structs import replace
@@ -34,13 +33,6 @@ WANTS_MORE = 1.2
 """What other programs want on a full computer, as a multiple of what they get there."""
 _CAUTIOUS = 1.5
 """What they may want later, likewise."""
-
-
-class Stopped(NamedTuple):
-    """The tasks that lack a function that they need, and what no other task uses."""
-
-    tasks: Sequence[Task]
-    functions: AbstractSet[str]
 
 
 class Situation(Struct, frozen=True, kw_only=True, dict=True):
@@ -142,15 +134,15 @@ class Situation(Struct, frozen=True, kw_only=True, dict=True):
         provided = {each.function for each in self.robot.architectures}
         return tuple(f for f in self.robot.functions_of() if f in provided)
 
-    def stopped(self, missing: Collection[str]) -> Stopped:
-        """Return what stops when functions are missing."""
+    def stopped(self, missing: Collection[str]) -> tuple[list[Task], set[str]]:
+        """Return the tasks that need missing functions, and what only they use."""
         tasks = [t for t in self.robot.tasks if not {*t.needs}.isdisjoint(missing)]
         others = replace(
             self.robot, tasks=tuple(t for t in self.robot.tasks if t not in tasks)
         )
         robot = replace(self.robot, tasks=tuple(tasks))
         functions = {*robot.functions_of()} - {*others.functions_of()}
-        return Stopped(tasks, functions)
+        return tasks, functions
 
     def computers_left(self, *, is_cautious: bool = False) -> tuple[Computer, ...]:
         """Return the computers with what other programs leave of their CPU."""

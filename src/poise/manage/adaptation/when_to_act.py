@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Mapping
+from math import inf
 from typing import NamedTuple
 
 from poise.manage.migration.migration_report import TransitionStep
@@ -33,6 +34,24 @@ BUDGET = 60
 _MINUTE = 60.0
 
 
+class Backoff:
+    """When something in vain is tried again: after a time [s] that doubles."""
+
+    def __init__(self, first: float, longest: float) -> None:
+        self._first, self._longest = first, longest
+        self.reset()
+
+    def reset(self, at: float = -inf) -> None:
+        """Try again at a time, and after the first, shortest time then."""
+        self.again_at, self._pause = at, self._first
+
+    def start(self, now: float) -> float:
+        """Try again after a time, and return it."""
+        pause, self._pause = self._pause, min(2 * self._pause, self._longest)
+        self.again_at = now + pause
+        return pause
+
+
 def has_changed(before: Amounts, now: Amounts) -> bool:
     """Return whether a decision may be another one now."""
     return before.keys() != now.keys() or any(
@@ -45,10 +64,10 @@ class MoveLimits:
     """What the loop did lately, and so whether it may act now; times are in [s]."""
 
     def __init__(self) -> None:
-        self._settled_at = self._idle_until = float("-inf")
-        self._backoff = FIRST_BACKOFF
+        self._settled_at = -inf
+        self._backoff = Backoff(FIRST_BACKOFF, LONGEST_BACKOFF)
         self._moves: deque[float] = deque()
-        self._left: dict[tuple[str, str], tuple[float, float]] = {}
+        self._left: dict[tuple[str, str], Backoff] = {}
         self._in_vain: tuple[float, Amounts] | None = None
 
     def is_backing_off(self, now: float, amounts: Amounts | None = None) -> bool:
@@ -57,7 +76,7 @@ class MoveLimits:
             at, before = self._in_vain
             if now >= at + CHANGED_AFTER and has_changed(before, amounts):
                 self.reset_backoff()
-        return now < max(self._settled_at, self._idle_until)
+        return now < max(self._settled_at, self._backoff.again_at)
 
     def may_move(self, number: int, now: float) -> bool:
         """Return whether `number` components may move within the budget."""
@@ -68,21 +87,19 @@ class MoveLimits:
     def quarantined(self, now: float) -> dict[str, set[str]]:
         """Return component -> computers to which it may not return yet."""
         away: dict[str, set[str]] = {}
-        for (component, computer), (until, _) in self._left.items():
-            if now < until:
+        for (component, computer), backoff in self._left.items():
+            if now < backoff.again_at:
                 away.setdefault(component, set()).add(computer)
         return away
 
     def start_backoff(self, now: float, amounts: Amounts | None = None) -> None:
         """Remember that nothing could be done about what is wrong."""
         self._in_vain = None if amounts is None else (now, amounts)
-        self._idle_until = now + self._backoff
-        self._backoff = min(2 * self._backoff, LONGEST_BACKOFF)
+        self._backoff.start(now)
 
     def reset_backoff(self) -> None:
         """Think at once about what goes wrong next: nothing is wrong now."""
-        self._idle_until = float("-inf")
-        self._backoff = FIRST_BACKOFF
+        self._backoff.reset()
 
     def note(self, steps: Iterable[TransitionStep], now: float) -> None:
         """Remember a transition, whether it went well or not."""
@@ -93,11 +110,12 @@ class MoveLimits:
         for component, (source, target) in _paths(steps).items():
             if not source or not target or source == target:
                 continue
-            key = component, source
-            until, stay = self._left.get(key, (0.0, STAY_AWAY / 2))
-            forgotten = now - until >= FORGET_QUARANTINE
-            stay = STAY_AWAY if forgotten else 2 * stay
-            self._left[key] = now + stay, stay
+            backoff = self._left.setdefault(
+                (component, source), Backoff(STAY_AWAY, inf)
+            )
+            if now - backoff.again_at >= FORGET_QUARANTINE:
+                backoff.reset()
+            backoff.start(now)
 
 
 def _paths(steps: Iterable[TransitionStep]) -> dict[str, tuple[str, str]]:
@@ -126,7 +144,7 @@ class LossSuffered:
         self._change: _Change | None = None
         self._gain = 0.0
         self._at: float | None = None
-        self._begins = self._ended = float("-inf")
+        self._begins = self._ended = -inf
 
     def note(self, gain: float, since: float, now: float) -> None:
         """Note what the best change would gain now [cores]; it is wrong `since` [s]."""
@@ -142,7 +160,7 @@ class LossSuffered:
         """Return when the loss will equal a cost [core-seconds], as things go."""
         if self.lost >= cost:
             return now
-        return now + (cost - self.lost) / self._gain if self._gain > 0 else float("inf")
+        return now + (cost - self.lost) / self._gain if self._gain > 0 else inf
 
     def lasts(self, since: float, now: float) -> float:
         """Return for how long it has been wrong in this placement [s]."""

@@ -18,6 +18,7 @@ from poise.clock import wall_time
 from poise.errors import UsageError
 from poise.estimate.code_version import version_of
 from poise.manage.adaptation.situation import Change, Situation
+from poise.manage.adaptation.when_to_act import Backoff
 from poise.manage.deploy.desired import Desired
 from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.journal import Journal
@@ -54,7 +55,7 @@ class Suspensions:
         self._known: dict[str, Deviation] = {}
         self._inputs: tuple[Robot, AbstractSet[str], tuple[Task, ...]] | None = None
         self._not_running: list[Architecture] = []
-        self._stays: dict[str, tuple[float, float]] = {}
+        self._stays: dict[str, Backoff] = {}
         self._crashed: dict[str, str] = {}
         self._look_at_code = 0.0
         self._has_news = False
@@ -65,8 +66,7 @@ class Suspensions:
         self, names: Iterable[str], why: str, now: float, *, with_task: bool = False
     ) -> bool:
         """Stop architectures, whose state is lost; return whether that went well."""
-        live, names = self._live, tuple(names)
-        components: dict[str, str] = {}
+        live, names, stopping = self._live, tuple(names), list[str]()
         for name in names:
             architecture = live.robot.architecture(name)
             if architecture.layer != "sequencing":
@@ -74,25 +74,30 @@ class Suspensions:
                     f"architecture '{name}' is in the {architecture.layer} layer, "
                     "which Poise never suspends"
                 )
-            here = {
-                c.name: live.placed[c.name].computer
-                for c in architecture.components
-                if c.name in live.placed
-            }
+            here = [c.name for c in architecture.components if c.name in live.placed]
             if not here:
                 raise UsageError(f"architecture '{name}' does not run")
-            components |= here
-        committed = self._stop(components)
-        if committed:
-            self.note_suspended(names, why, now, with_task=with_task)
-        return committed
+            stopping += here
+        away = live.agents.out_of_reach()
+        steps = tuple(
+            TransitionStep(name, computer)
+            for name in sorted(stopping)
+            if (computer := live.placed[name].computer) not in away
+        )
+        if steps and not transit(live, steps).committed:
+            return False
+        if gone := {*stopping} - {step.component for step in steps}:
+            why_gone = "what is out of reach is not to go on there"
+            live.commit(live.desired.without(gone), why_gone)
+        self.note_suspended(names, why, now, with_task=with_task)
+        return True
 
     def note_suspended(
         self, names: Iterable[str], why: str, now: float, *, with_task: bool = False
     ) -> None:
         """Remember and say that architectures were stopped."""
         for name in names:
-            self._stay(name, now, first=0.0 if with_task else FIRST)
+            self._stay(name, now, may_be_short=with_task)
             self._add(name, why)
             if with_task:
                 self.suspended_with_task.add(name)
@@ -101,8 +106,7 @@ class Suspensions:
         """Remember that architectures run again."""
         self.suspended_with_task.difference_update(names)
         for name in names:
-            stay = self._stays.get(name, (now, FIRST / 2))[1]
-            self._stays[name] = now, stay
+            self._stays.setdefault(name, Backoff(FIRST, LONGEST)).again_at = now
 
     def quarantine(self, name: str) -> None:
         """Take an architecture that crashes back only with other code, or `release`."""
@@ -115,7 +119,8 @@ class Suspensions:
             what = f"architecture '{name}' may start again, though it crashed"
             self._live.journal.note("decided", what)
         self._crashed.clear()
-        self._stays = dict.fromkeys(self._stays, (float("-inf"), 0.0))
+        for stay in self._stays.values():
+            stay.reset()
         self._has_news = True
 
     def record(self) -> None:
@@ -147,12 +152,13 @@ class Suspensions:
     def due(self, now: float) -> list[Architecture]:
         """Return what may be started again, the highest priority first."""
         self._release_mended(now)
-        stay = {name for name, (until, _) in self._stays.items() if now < until}
+        stay = {name for name, each in self._stays.items() if now < each.again_at}
         return [a for a in self._suspended() if a.name not in stay | {*self._crashed}]
 
     def doubtful(self, now: float) -> frozenset[str]:
         """Return the suspended components whose last demand is believed no more."""
-        names = (n for n, (end, _) in self._stays.items() if now - end >= DOUBT_AFTER)
+        stays = self._stays.items()
+        names = (n for n, stay in stays if now - stay.again_at >= DOUBT_AFTER)
         suspended = {each.name: each.components for each in self._suspended()}
         return frozenset(c.name for n in names for c in suspended.get(n, ()))
 
@@ -161,24 +167,14 @@ class Suspensions:
         has_news, self._has_news = self._has_news, False
         return has_news
 
-    def _stop(self, components: Mapping[str, str]) -> bool:
-        """Stop components, unreached ones once they are back; return whether it did."""
-        live, away = self._live, self._live.agents.out_of_reach()
-        here = {name: at for name, at in components.items() if at not in away}
-        steps = tuple(TransitionStep(*each) for each in sorted(here.items()))
-        if steps and not transit(live, steps).committed:
-            return False
-        if gone := components.keys() - here.keys():
-            why = "what is out of reach is not to go on there"
-            live.commit(live.desired.without(gone), why)
-        return True
-
-    def _stay(self, name: str, now: float, *, first: float) -> None:
-        """Let one stay suspended: `first` [s], and longer when it is so again."""
-        until, stay = self._stays.get(name, (float("-inf"), 0.0))
-        is_first = now - until >= FORGET_AFTER
-        stay = max(first, FIRST / 2) if is_first else min(2 * stay, LONGEST)
-        self._stays[name] = now + (first if is_first else stay), stay
+    def _stay(self, name: str, now: float, *, may_be_short: bool) -> None:
+        """Let one stay suspended, and longer when it is so again."""
+        stay = self._stays.setdefault(name, Backoff(FIRST, LONGEST))
+        is_first = now - stay.again_at >= FORGET_AFTER
+        if is_first:
+            stay.reset(now)
+        if not is_first or not may_be_short:
+            stay.start(now)
 
     def _release_mended(self, now: float) -> None:
         """Look, now and then, whether the code of what crashed is another."""
@@ -242,7 +238,7 @@ class NeededFunctions:
         """Say what has been missing or is back; return what is needed and missing."""
         missing, tasks = missing_functions(situation), situation.robot.tasks
         needed = {name for task in tasks for name in task.needs}
-        stopped = situation.stopped(self._said.keys() & missing).functions
+        _, stopped = situation.stopped(self._said.keys() & missing)
         missing -= stopped - needed - self._said.keys()
         self._since = {name: self._since.get(name, now) for name in missing}
         for name in sorted(self._said.keys() - missing):
@@ -340,8 +336,7 @@ class ResumeSuspended:
     def __init__(self, live: LiveRobot, suspensions: Suspensions) -> None:
         self._live = live
         self._suspensions = suspensions
-        self._try_at = 0.0
-        self._try_again = _TRY_AGAIN
+        self._backoff = Backoff(_TRY_AGAIN, LONGEST)
         self._lost: frozenset[str] = frozenset()
         self._doubtful: frozenset[str] = frozenset()
         self._wrong_at: float | None = None
@@ -351,7 +346,7 @@ class ResumeSuspended:
         now = situation.now
         if situation.lost != self._lost:
             self._lost = situation.lost
-            self._try_at, self._try_again = now, _TRY_AGAIN
+            self._backoff.reset()
         if situation.about("replan") or self._wrong_at is None:
             self._wrong_at = now
         if now - self._wrong_at < CALM:
@@ -361,9 +356,9 @@ class ResumeSuspended:
             return None
         doubtful = self._suspensions.doubtful(now)
         if self._suspensions.pop_news() or doubtful - self._doubtful:
-            self._try_at = now
+            self._backoff.again_at = now
         self._doubtful = doubtful
-        if now < self._try_at:
+        if now < self._backoff.again_at:
             return None
         choices = self._choices(due, situation)
         if not choices:
@@ -372,7 +367,7 @@ class ResumeSuspended:
         for architectures in choices:
             names = {c.name for a in architectures for c in a.components}
             if where := room_for_components(situation, names):
-                self._try_at, self._try_again = now + _TRY_AGAIN, _TRY_AGAIN
+                self._backoff.reset(now + _TRY_AGAIN)
                 started = [architecture.name for architecture in architectures]
                 what = " and ".join(f"architecture '{name}'" for name in started)
                 return Change(
@@ -380,8 +375,7 @@ class ResumeSuspended:
                     facts={"placement": where},
                     carry_out=partial(self._start, started, where, now),
                 )
-        self._try_at = now + self._try_again
-        self._try_again = min(2 * self._try_again, LONGEST)
+        self._backoff.start(now)
         return None
 
     def _choices(

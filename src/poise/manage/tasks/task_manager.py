@@ -17,6 +17,7 @@ from poise.errors import PoiseError, RunError, UsageError
 from poise.estimate.outcomes import Conditions, Ending, note_outcome
 from poise.manage.adaptation.policy_values import values_of
 from poise.manage.adaptation.situation import Situation
+from poise.manage.adaptation.when_to_act import Backoff
 from poise.manage.deploy.desired import Desired
 from poise.manage.deploy.live_robot import DoesNotStart, LiveRobot
 from poise.manage.migration.transition_run import transit
@@ -72,7 +73,7 @@ class TaskManager:
         self._idle = IdleComponents(live)
         self._slow = SlowStarts(live)
         self._has_begun = False  # before, what is suspended counts as due
-        self._room_at, self._room_again = 0.0, _ROOM_AGAIN
+        self._room_again = Backoff(_ROOM_AGAIN, _ROOM_AT_MOST)
         self._lost: AbstractSet[str] = frozenset()
         self._suspended: AbstractSet[str] = frozenset()
         self._unlearned: list[tuple[ActionEnded, list[str]]] = []
@@ -125,7 +126,7 @@ class TaskManager:
             self.tasks.start(name, now, priority)
         else:
             getattr(self.tasks, verb)(name, now)
-        self._room_at = 0.0
+        self._room_again.reset()
         self._go_on()
         self._save()
 
@@ -143,12 +144,11 @@ class TaskManager:
     def _go_on(self) -> None:
         """Let what should run now run, until nothing changes by that."""
         now, lost = boot_time(), set(self._live.agents.out_of_reach())
-        if now >= self._room_at or lost != self._lost:
-            self._room_again = min(2 * self._room_again, _ROOM_AT_MOST)
-            if not self._room_at or lost != self._lost:
-                self._room_again = _ROOM_AGAIN
+        if lost != self._lost:
             self._lost = lost
-            self._room_at = now + self._room_again
+            self._room_again.reset()
+        if now >= self._room_again.again_at:
+            self._room_again.start(now)
             self.tasks.unblock()
         for _ in range(_MOST_ROUNDS):
             self.tasks.arbitrate(boot_time())
@@ -320,7 +320,7 @@ class TaskManager:
         blamed = self._live.robot.architecture_of(broken) if broken else None
         for ended in self.tasks.pop_ended():
             self._since = boot_time()
-            self._room_at = 0.0
+            self._room_again.reset()
             end = ended.action.ends
             if blamed is not None and blamed.function in ended.action.functions:
                 self._unlearned.append((ended, [blamed.name]))
