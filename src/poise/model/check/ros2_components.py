@@ -103,30 +103,21 @@ def bridge_of(port: ConnectorEnd) -> str:
 def with_ros2(robot: Robot) -> Robot:
     """Return the robot with components for its ROS 2 nodes and bridges."""
     environment = ros2_environment(robot)
-    bridges: dict[str, list[Ros2Bridge]] = {}
+    bridges: dict[ConnectorEnd, list[Ros2Bridge]] = {}
     for bridge in robot.ros2.bridges:
-        bridges.setdefault(str(bridge.port), []).append(bridge)
-    return replace(
-        robot,
-        architectures=tuple(
-            replace(
-                architecture,
-                components=(
-                    *(
-                        _with_node(component, environment)
-                        for component in architecture.components
-                    ),
-                    *(
-                        _bridge(entry, lines, environment)
-                        for entry in architecture.components
-                        for lines in bridges.values()
-                        if lines[0].port.component == entry.name
-                    ),
-                ),
-            )
-            for architecture in robot.architectures
-        ),
-    )
+        bridges.setdefault(bridge.port, []).append(bridge)
+    architectures = []
+    for architecture in robot.architectures:
+        own = architecture.components
+        nodes = [_with_node(entry, environment) for entry in own]
+        added = [
+            _bridge(entry, lines, environment)
+            for entry in own
+            for port, lines in bridges.items()
+            if port.component == entry.name
+        ]
+        architectures.append(replace(architecture, components=(*nodes, *added)))
+    return replace(robot, architectures=tuple(architectures))
 
 
 def with_code(robot: Robot, code: Mapping[str, ComponentCode]) -> Robot:
@@ -202,9 +193,9 @@ def ros2_environment(robot: Robot) -> dict[str, str]:
         variables["ROS_STATIC_PEERS"] = ";".join(peers)
     if discovery is not None:
         # an emulated network has no others in it, and no addresses yet
-        is_wide = discovery == "subnet" or robot.is_emulated
-        is_local = discovery == "localhost" or not is_wide
-        variables["ROS_AUTOMATIC_DISCOVERY_RANGE"] = (
-            "LOCALHOST" if is_local else "SUBNET"
+        is_wide = discovery == "subnet" or (
+            discovery == "computers" and robot.is_emulated
         )
+        reach = "SUBNET" if is_wide else "LOCALHOST"
+        variables["ROS_AUTOMATIC_DISCOVERY_RANGE"] = reach
     return variables
