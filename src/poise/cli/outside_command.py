@@ -23,14 +23,13 @@ from poise.errors import (
     listed,
 )
 from poise.runtime.connectors.tap import Plain
+from poise.session import sleep_until
 from poise.session.running_robots.running import NoManager, connect
 from poise.session.running_robots.running_component import RunningComponent, value_of
 from poise.units import SECONDS, counted
 
 _MOST_FAILURES = 10
 """`poise pub --rate` ends when more messages than these fail one after the other."""
-_LOOK_EVERY = 0.1
-"""It sees Ctrl-C after this time at most [s]."""
 _NAMED = re.compile(r"([A-Za-z_]\w*)=(.*)", re.DOTALL)
 Port = Annotated[str, typer.Argument(metavar="COMPONENT.PORT", show_default=False)]
 Limit = Annotated[
@@ -128,7 +127,7 @@ def pub_command(
                 else:
                     sent, in_a_row = sent + 1, 0
                 if rate is not None and tried != most:
-                    _sleep_until(began + tried / rate, interrupts)
+                    sleep_until(began + tried / rate, interrupts.check)
     finally:
         sys.stderr.write(f"sent {counted(sent, 'message')} to {port}\n")
         failed = f"{counted(tried - sent, 'message')} may be lost; the last: {why}"
@@ -136,12 +135,6 @@ def pub_command(
             sys.stderr.write(f"{failed}\n")
     if tried > sent:
         raise RunError(failed)
-
-
-def _sleep_until(moment: float, interrupts: Interrupts) -> None:
-    while (left := moment - time.monotonic()) > 0:
-        interrupts.check()
-        time.sleep(min(left, _LOOK_EVERY))
 
 
 def _component(port: str, robot: str | None) -> tuple[RunningComponent, str]:

@@ -182,11 +182,7 @@ def authority_of(robot: str, folder: Path | None = None) -> Authority:
 
 
 def init_keys(robot: str, folder: Path | None = None) -> Authority:
-    """Make the authority of a robot, and keys for who owns it.
-
-    `folder`: where these are; None: in the owner's data folder. UsageError: there is
-    one already, the folder cannot be written, or it is not a name.
-    """
+    """Make the authority of a robot, and keys for who owns it, in that folder."""
     check_name(robot, "a robot's name")
     authority = Authority(robot, folder or folders(robot)[0])
     owner = authority.folder / _OWNER

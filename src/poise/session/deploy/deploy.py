@@ -56,13 +56,10 @@ def version_of(archive: bytes) -> str:
 
 
 def pack(robot: Robot, manifest: Manifest) -> bytes:
-    """Return the archive of the code of a robot's components and policies.
+    """Return the archive of what a robot's components and policies are made of.
 
-    It is what they import from the folders of the robot file and of its `repository`:
-    modules, and packages with all files in them. Of commands, it is the program and
-    the arguments that are files there.
-
-    Raises UsageError when nothing of it is there.
+    Of modules in packages it has the whole package; of commands, the program and the
+    arguments that are files. UsageError: nothing of it is in the robot's folders.
     """
     files = _files(robot)
     if not files:

@@ -24,8 +24,8 @@ from poise.session.diagrams.diagram import (
     SequenceDiagram,
     mermaid,
     plantuml,
+    svg,
 )
-from poise.session.diagrams.svg_notation import svg
 from poise.session.folders import write_whole
 from poise.session.record_run import coded_ports
 from poise.units import (

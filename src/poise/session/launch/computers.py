@@ -359,11 +359,7 @@ def _kept(robot: Robot, kept: EmulatedSet, say: Say) -> Iterator[Computers]:
 
 
 def real_agents(robot: Robot, *also: Role) -> AgentAddresses:
-    """Return where the agents of a robot's own computers are, and the keys for them.
-
-    `also`: roles that will do beside that of a manager. UsageError: there are no keys
-    for computers that others can reach, too.
-    """
+    """Return where a robot's own agents are, and keys of a manager, or of `also`."""
     where = {c.name: Endpoint.parse(c.address) for c in robot.computers if c.address}
     keys = None if robot.insecure else find(robot.name, "manager", *also)
     for name, endpoint in where.items():

@@ -1,12 +1,8 @@
 """Decides where components run so that chains and timers keep their deadlines.
 
-How old data gets, and when a timer's run ends, depends on all that runs beside it,
-which no sum over components and connectors tells. So a placement is decided by what can
-be summed (`limits_of_work`), simulated, and decided again with what was missing from
-the sums, until all is in time or nothing changes any more. A simulation in which nobody
-waits for CPU tells what is missing wherever components run, such as phases of timers,
-from what they wait for each other. At last, what is near the best placement is
-simulated.
+How old data gets, and when a timer's run ends, depends on all that runs beside it: a
+placement is decided by what can be summed (`limits_of_work`), simulated, and decided
+again with what was missing from the sums; at last, what is near the best is simulated.
 """
 
 from __future__ import annotations

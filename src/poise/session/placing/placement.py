@@ -47,12 +47,10 @@ def is_file(name: str) -> bool:
 
 
 def by_rule(rule: str, robot: Robot, problem: plan.Problem) -> dict[str, str]:
-    """Return component -> computer as a rule has it.
+    """Return component -> computer, where it may run, as a rule that is no file has it.
 
-    It may break limits. ``round-robin`` deals the components to the computers in turn,
-    ``random:SEED`` at random, and ``whole-functions`` keeps what belongs to a function
-    on one computer, the largest function first, where most CPU is left. None puts a
-    component where it may not run.
+    It may break limits. ``whole-functions`` keeps what belongs to a function on one
+    computer, the largest function first, where most CPU is left.
     """
     static = plan.static(robot, problem)
     choices = _choices(problem)

@@ -1,9 +1,7 @@
-"""The robot with which one architecture is measured alone.
+"""The robot with which one architecture is measured, on a computer for itself.
 
-Its components have a computer for themselves. Their sources and providers run on
-another computer, together with the sources and providers of those. At most one
-architecture of each function runs, as on the robot. A replay component takes the place
-of sources whose messages are recorded or generated.
+Its sources and providers, and theirs, run on another one, at most one architecture of
+each function. A replay component plays what is recorded or generated instead.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ from pathlib import Path
 from msgspec import Struct
 
 from poise.errors import UsageError
-from poise.session import Check, Say, log, nothing
+from poise.session import Check, Say, log, nothing, sleep_until
 from poise.session.arguments import check_names, check_path, check_type
 from poise.session.running_robots.running import connect
 from poise.session.running_robots.running_component import RunningComponent
@@ -24,7 +24,6 @@ from poise.wire.recording_file import Said, said_in
 CALLS = "calls are not played"
 _LIMIT = 10.0
 """A component takes a message within this time [s], or the playback ends."""
-_LOOK_EVERY = 0.1
 _TURN = 5.0
 """A message is in the file at most this long after a later one [s]."""
 _SOURCE = re.compile(r"(.+?)\.([A-Za-z_]\w*)-.+")
@@ -110,9 +109,7 @@ def play(
         if port in skipped:
             continue
         due = began + (said.at - first) / rate
-        while (left := due - time.monotonic()) > 0:
-            check()
-            time.sleep(min(left, _LOOK_EVERY))
+        sleep_until(due, check)
         check()
         if why := _publish(component, port, said):
             skipped[port] = why
