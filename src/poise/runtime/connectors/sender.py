@@ -205,11 +205,6 @@ class Sender(ObservedPort):
                 )
         return getattr(self._proxy, name)(*args, **kwargs)
 
-    def close(self) -> None:
-        """Close every route."""
-        for key in list(self._routes):
-            self.remove(key)
-
     def note_room(self) -> None:
         """Wake senders that wait for room: the target may have some."""
         with self._lock:
@@ -253,7 +248,9 @@ class Sender(ObservedPort):
                     route = self._claim()
                     break
             if left <= pause:
-                self._note_no_room()
+                self.counts.drops += 1
+                text = "connector %s: no room for %g s, a message is dropped"
+                self._sparing.warn("dropped", text, self.name, self._limit)
                 return
             if not self._ask_for_room():
                 self.counts.drops += 1
@@ -330,11 +327,6 @@ class Sender(ObservedPort):
         finally:
             self._release()
         return True
-
-    def _note_no_room(self) -> None:
-        self.counts.drops += 1
-        text = "connector %s: no room for %g s, a message is dropped"
-        self._sparing.warn("dropped", text, self.name, self._limit)
 
     def _hold(self, buffer: deque[Waiting], waiting: Waiting) -> None:
         """Buffer a message, in place of the oldest where only the newest are kept."""

@@ -95,7 +95,9 @@ class PortQueue:
                     log.warning(text, self.port, "a message is dropped")
                     return
             elif self._is_full():
-                self._drop_oldest()
+                _, oldest, _ = self._waiting.popleft()
+                oldest.waiting -= 1
+                oldest.counts.drops += 1
                 grows = False
             feed.waiting += 1
             self.last_came = time.monotonic()
@@ -144,11 +146,6 @@ class PortQueue:
             not self._is_unbounded
             and len(self._waiting) >= self.queue.size + self._while_paused
         )
-
-    def _drop_oldest(self) -> None:
-        _, feed, _ = self._waiting.popleft()
-        feed.waiting -= 1
-        feed.counts.drops += 1
 
 
 class Mailbox:
