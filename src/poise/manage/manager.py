@@ -33,7 +33,6 @@ from poise.manage.control_socket.commands import (
     ReplaceCommand,
     Result,
     RobotStatus,
-    StatusCommand,
     StopCommand,
     StopReport,
     TaskCommand,
@@ -76,9 +75,6 @@ TICK = 0.2
 """A manager looks at its robot so often [s]."""
 Results = Future[Result | Refusal]
 T = TypeVar("T")
-
-_WHILE_STOPPING = StatusCommand, RecordCommand
-"""Commands that are carried out while the robot is being stopped."""
 
 
 class Manager:
@@ -153,7 +149,7 @@ class Manager:
             self._stops.append(future)  # before the flag, or nobody answers it
             self._stopping.set()
             self._live.cancel()
-        elif self.is_stopping and not isinstance(command, _WHILE_STOPPING):
+        elif self.is_stopping and not isinstance(command, RecordCommand):
             future.set_result(Refusal("the robot is being stopped", "RunError"))
         elif (seen := answer(self._live, self.status, command)) is not None:
             future.set_result(seen)
@@ -204,7 +200,7 @@ class Manager:
                 *self._canaries.under_way(),
                 *(self._stop_waits() if self.is_stopping else ()),
             ),
-            faults=self._watch.num_faults + len(lost_states),
+            faults=self._watch.faults.count + len(lost_states),
             lost_states=lost_states,
             hanging=self._adaptation.hanging,
             prefetch=self._prefetch.report(),

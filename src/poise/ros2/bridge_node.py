@@ -27,11 +27,6 @@ class BridgeLine(Struct, frozen=True, kw_only=True):
     depth: int = 10
     port: str = ""
 
-    @property
-    def keeps_last(self) -> bool:
-        """Whether late subscribers get the last message."""
-        return self.durability == "transient local"
-
     def qos(self, **policies: Any) -> Any:  # noqa: ANN401, a profile of rclpy
         """Return the quality of service that it asks for, with other `policies`."""
         from rclpy import qos  # noqa: PLC0415, only where a node runs

@@ -82,18 +82,15 @@ def remove_leftovers(
         with contextlib.suppress(OSError):  # in use, another user's, or just removed
             is_ours = lock.stat().st_uid == os.geteuid()
             is_old = wall_time() - lock.stat().st_mtime >= young
-            if is_ours and is_old and _LOCK.fullmatch(lock.name):
-                _remove(lock)
-                removed.append(lock.name.removesuffix("_el"))
+            if not (is_ours and is_old and _LOCK.fullmatch(lock.name)):
+                continue
+            with lock.open("rb") as file:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                segment = lock.with_name(lock.name.removesuffix("_el"))
+                segment.unlink(missing_ok=True)
+                lock.unlink()
+            removed.append(segment.name)
     return removed
-
-
-def _remove(lock: Path) -> None:
-    """Remove a segment and its lock; OSError when a process holds that."""
-    with lock.open("rb") as file:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        lock.with_name(lock.name.removesuffix("_el")).unlink(missing_ok=True)
-        lock.unlink()
 
 
 def home() -> dict[str, str]:

@@ -195,7 +195,7 @@ def taking(port: Port, entries: Sequence[BridgeLine]) -> dict[str, Any]:
 
 def publishing(port: Port, entries: Sequence[BridgeLine]) -> dict[str, Any]:
     """Return what declares the port of `FromTopics`."""
-    latest = any(entry.keeps_last for entry in entries)
+    latest = any(entry.durability == "transient local" for entry in entries)
     return {port.name: published(latest=latest), **annotated(Published)(port, entries)}
 
 

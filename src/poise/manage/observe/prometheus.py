@@ -57,22 +57,20 @@ class MetricsServer:
     def __init__(self, host: str, port: int, patience: float = 0.0) -> None:
         self._registry = CollectorRegistry()
         until = time.monotonic() + patience
-        while (error := self._listen(host, port)) is not None:
-            if time.monotonic() >= until:
-                where = f"{host}:{port}"
-                raise RunError(f"metrics cannot be served on {where}: {error}")
+        while True:
+            try:
+                self._server = _Server(host, port)
+                break
+            except OSError as error:
+                if time.monotonic() >= until:
+                    where = f"{host}:{port}"
+                    text = f"metrics cannot be served on {where}: {error}"
+                    raise RunError(text) from error
             time.sleep(_LOOK_EVERY)
-
-    def _listen(self, host: str, port: int) -> OSError | None:
-        try:
-            self._server = _Server(host, port)
-        except OSError as error:
-            return error
         app: Any = make_wsgi_app(self._registry)
         self._server.set_app(_for_this_computer(app) if is_loopback(host) else app)
         self._thread = threads.daemon(self._server.serve_forever, "metrics")
         self._thread.start()
-        return None
 
     def show(self, status: Callable[[], RobotStatus]) -> None:
         """Serve what `status` returns, on any thread; there was nothing before."""

@@ -43,7 +43,7 @@ class Watch:
         """What has to last, and since when it is so [s]."""
         # what was before at an agent that is reached late, another manager reported
         since = time.monotonic() - _TAKE_OVER if live.has_taken_over else -inf
-        self._faults = FaultFilter(live.faults_before, since)
+        self.faults = FaultFilter(live.faults_before, since)
         self.code_errors = CodeErrors(live.journal.note)
         if live.has_taken_over:
             known = live.current()
@@ -67,11 +67,6 @@ class Watch:
             what = f"being started, moved, replaced or stopped: {listed(sorted(names))}"
             yield "; ".join([what, *not_at_goals(changing, current, ())])
 
-    @property
-    def num_faults(self) -> int:
-        """How many faults there were since the start."""
-        return self._faults.count
-
     def record(self) -> None:
         """Journal each deviation, fault and error when it begins, and when it ends.
 
@@ -81,7 +76,7 @@ class Watch:
         live = self._live
         live.note_refused()
         now = time.monotonic()
-        for sentence, fault in self._faults.new(live.agents.statuses(), now):
+        for sentence, fault in self.faults.new(live.agents.statuses(), now):
             kind: EntryKind = "right" if fault.is_over else "wrong"
             live.journal.note(kind, sentence, fault=fault)
         reached = live.computers()
@@ -160,7 +155,7 @@ class Watch:
 
     def _note_recoveries(self, statuses: Statuses) -> None:
         """Journal which containers run as they should again after a fault."""
-        if not self._faults.has_open():
+        if not self.faults.has_open():
             return
         live = self._live
         deviating = {
@@ -178,6 +173,6 @@ class Watch:
             for health in status.health:
                 is_well = health.state == "running" and health.name not in deviating
                 is_well = is_well and (computer, health.name) not in starting
-                if is_well and self._faults.close(computer, health.name):
+                if is_well and self.faults.close(computer, health.name):
                     what = f"container '{health.name}' on '{computer}'"
                     live.journal.note("right", f"{what} is healthy again")
