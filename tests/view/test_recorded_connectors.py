@@ -79,9 +79,9 @@ def test_all_are_recorded_also_those_that_begin_later_but_for_those_of_ros2(
     monkeypatch.setattr(module, "LiveReader", Live)
     monkeypatch.setattr(module, "time", clock)
     said: list[str] = []
-    recorder = Recorder("r", (), 400.0, every=True)
+    recorder = Recorder("r", (), 400.0, said.append, every=True)
     with McapFile(tmp_path / "a.mcap", "r") as file:
-        recorder.record(file, 6.0, lambda: None, said.append, lambda _: None)
+        recorder.record(file, 6.0, lambda: None, lambda *_: None)
     assert file.counts["/messages/eye/seen-mind/seen"] == 3
     assert file.counts["/messages/mind/goal-leg/goal"] == 2
     with (tmp_path / "a.mcap").open("rb") as written:

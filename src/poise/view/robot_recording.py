@@ -209,14 +209,12 @@ def record(  # noqa: PLR0913 - each is a choice of the user
         check_type(what, value, Real, "a number")
     name = connect(robot).status().robot
     extra("foxglove_schemas_protobuf")  # before there is a file
-    recorder = Recorder(name, connectors, rate, every=every)
+    recorder = Recorder(name, connectors, rate, say, every=every)
     interrupted, file = False, McapFile(Path(path), name)
     try:
         with file:
             say(f"recording robot '{name}' to {path}")
-            recorder.record(
-                file, seconds, check, say, lambda now: tell(now, file.summary())
-            )
+            recorder.record(file, seconds, check, tell)
     except KeyboardInterrupt:
         interrupted = True
     finally:
@@ -238,8 +236,16 @@ class Recorder:
     has no room for is counted in `missing`.
     """
 
+    _file: McapFile
+
     def __init__(
-        self, robot: str, connectors: Iterable[str], rate: float, *, every: bool
+        self,
+        robot: str,
+        connectors: Iterable[str],
+        rate: float,
+        say: Say,
+        *,
+        every: bool,
     ) -> None:
         self.missing: Counter[str] = Counter()
         """Connector -> messages that went out and are not in the file."""
@@ -247,6 +253,7 @@ class Recorder:
         self._live = LiveReader(robot)
         self._reader = Reader()
         self._rate = rate
+        self._say = say
         self._every = every
         self._time = steady_wall_time()
         self._viewer = secrets.token_hex(8)
@@ -268,31 +275,31 @@ class Recorder:
         file: McapFile,
         seconds: float,
         check: Check,
-        say: Say,
-        tell: Callable[[float], object],
+        tell: Callable[[float, str], object],
     ) -> None:
         """Record for some time, or until `check` raises."""
+        self._file = file
         began = time.monotonic()
         next_read = began
         while self._first:
-            self._write_messages(file, self._first.pop(0))
+            self._write_messages(self._first.pop(0))
         while (now := time.monotonic()) - began < seconds:
             check()
             if now >= next_read:
                 next_read = now + _READ_EVERY
-                self._read(file, now, say)
+                self._read(now)
             if self._silent_since is None:
                 for connector in self._connectors:
-                    self._record_messages(file, connector, say)
-            tell(now - began)
+                    self._record_messages(connector)
+            tell(now - began, file.summary())
             time.sleep(min(_LOOK_EVERY, max(0.0, began + seconds - time.monotonic())))
 
-    def _read(self, file: McapFile, now: float, say: Say) -> None:
+    def _read(self, now: float) -> None:
         seen = self._live.poll()
         if seen.trouble:
             if self._silent_since is None:
                 self._silent_since = now
-                say(f"no answer, waiting up to {_PATIENCE:g} s: {seen.trouble}")
+                self._say(f"no answer, waiting up to {_PATIENCE:g} s: {seen.trouble}")
             elif now - self._silent_since > _PATIENCE:
                 if not seen.is_old:  # its agents answer
                     raise NoManager(seen.trouble, seen.status)
@@ -300,15 +307,15 @@ class Recorder:
             return
         if self._silent_since is not None:
             self._silent_since = None
-            say(f"robot '{self.robot}' answers again")
+            self._say(f"robot '{self.robot}' answers again")
         assert seen.status is not None  # noqa: S101, without trouble there is one
         if self._every:
-            self._add_connectors(seen.status, say)
-        self._write_rows(file, seen.status, now)
-        self._write_entries(file, seen.status.manager.key, seen.entries)
-        file.flush()
+            self._add_connectors(seen.status)
+        self._write_rows(seen.status, now)
+        self._write_entries(seen.status.manager.key, seen.entries)
+        self._file.flush()
 
-    def _add_connectors(self, status: Status, say: Say) -> None:
+    def _add_connectors(self, status: Status) -> None:
         """Record all connectors that there are by now, and say which cannot be."""
         for agent in status.computers.values():
             for container in agent.containers:
@@ -317,21 +324,19 @@ class Recorder:
         for name in status.by_ros2:
             if name not in self._left_to_ros2:
                 self._left_to_ros2.add(name)
-                say(
+                self._say(
                     f"'{name}' is not recorded: it is made by ROS 2 alone; `ros2 bag "
                     "record` records topics"
                 )
 
-    def _write_rows(self, file: McapFile, status: Status, now: float) -> None:
+    def _write_rows(self, status: Status, now: float) -> None:
         view, at = self._reader.update(status, now), self._time()
         for part, schema in _ROWS.items():
             for row in getattr(view, part):
                 known = {n: v for n, v in asdict(row).items() if v is not None}
-                file.add(f"{part}/{row.name}", schema, at, known)
+                self._file.add(f"{part}/{row.name}", schema, at, known)
 
-    def _write_entries(
-        self, file: McapFile, manager: str, entries: Sequence[JournalEntry]
-    ) -> None:
+    def _write_entries(self, manager: str, entries: Sequence[JournalEntry]) -> None:
         """Write the entries since the recording began; each manager has its own."""
         last = entries[-1].number if entries else 0
         if not self._manager:
@@ -341,10 +346,10 @@ class Recorder:
         self._manager = manager
         for entry in entries:
             if entry.number > self._last_entry:
-                self._write_entry(file, entry)
+                self._write_entry(entry)
         self._last_entry = last
 
-    def _write_entry(self, file: McapFile, entry: JournalEntry) -> None:
+    def _write_entry(self, entry: JournalEntry) -> None:
         log = {
             "timestamp": stamp(entry.at),
             "level": _LEVELS.get(entry.kind, _INFO),
@@ -355,9 +360,9 @@ class Recorder:
             "facts": entry.facts if isinstance(entry.facts, dict) else {},
         }
         step = wall_time() - self._time()
-        file.add("decisions", LOG, entry.at - step, log)
+        self._file.add("decisions", LOG, entry.at - step, log)
 
-    def _record_messages(self, file: McapFile, connector: str, say: Say) -> None:
+    def _record_messages(self, connector: str) -> None:
         """Write its messages; say why there are none, and that there are some again."""
         why = ""
         try:
@@ -365,10 +370,10 @@ class Recorder:
         except PoiseError as error:
             why = str(error)
         else:
-            self._write_messages(file, reading)
+            self._write_messages(reading)
         if why != self._connectors[connector]:
             self._connectors[connector] = why
-            say(why or f"connector '{connector}' is recorded again")
+            self._say(why or f"connector '{connector}' is recorded again")
 
     def _read_messages(self, connector: str) -> TapReading:
         asked = self._time()
@@ -386,28 +391,20 @@ class Recorder:
             self._behind[reading.connector] = min(max(behind, least), most)
         return reading
 
-    def _write_messages(self, file: McapFile, reading: TapReading) -> None:
+    def _write_messages(self, reading: TapReading) -> None:
         whole = [passed for passed in reading.passed if passed.is_whole]
         behind = self._behind.get(reading.connector, 0.0)
+        topic = f"{MESSAGES}/{reading.connector}"
         for passed in whole:
             value = unpack(convert(passed.value, Packed))
-            self._write_message(file, reading, passed.at + behind, value)
+            at, plain = passed.at + behind, as_json(value)
+            message = plain if isinstance(plain, dict) else {"value": plain}
+            is_first = topic not in self._file
+            schema = schema_like(message, reading.carries) if is_first else {}
+            self._file.add(topic, schema, at, message)
+            for drawn in drawings(value, at):
+                of_part = f"{drawn.kind}/{reading.connector}/{drawn.part}".rstrip("/")
+                self._file.add(of_part, drawn.type, at, drawn.content)
         more = len(reading.times) + reading.missing - len(whole)
         if more:
             self.missing[reading.connector] += more
-
-    def _write_message(
-        self,
-        file: McapFile,
-        reading: TapReading,
-        at: float,
-        value: Any,  # noqa: ANN401, plain data and arrays
-    ) -> None:
-        plain = as_json(value)
-        message = plain if isinstance(plain, dict) else {"value": plain}
-        topic = f"{MESSAGES}/{reading.connector}"
-        schema = {} if topic in file else schema_like(message, reading.carries)
-        file.add(topic, schema, at, message)
-        for drawn in drawings(value, at):
-            of_part = f"{drawn.kind}/{reading.connector}/{drawn.part}".rstrip("/")
-            file.add(of_part, drawn.type, at, drawn.content)

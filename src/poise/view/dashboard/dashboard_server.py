@@ -11,7 +11,6 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 from nicegui import app, background_tasks, run, ui
-from nicegui.events import GenericEventArguments
 from starlette.requests import HTTPConnection
 from starlette.responses import PlainTextResponse, RedirectResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -160,18 +159,25 @@ class Dashboard:
         robot_map = RobotMap()
         robot_map.on("what_if", lambda e: actions.ask(*e.args))
         robot_map.on("task", lambda e: actions.do_task(*e.args))
-        robot_map.on("component", lambda e: self._component(actions, e))
-        robot_map.on("entry", lambda e: self._entry(actions, e))
+        robot_map.on(
+            "component", lambda e: actions.show_component(str(e.args), self._page)
+        )
+        robot_map.on("entry", lambda e: actions.show_entry(e.args, self._seen.entries))
         with ui.row().classes("tools"):
             actions.place_undo()
             actions.place_stop()
             _place_theme()
-        client.on_disconnect(lambda: self._note(client.id, is_there=False))
-        client.on_delete(lambda: self._note(client.id, is_there=False))
+        client.on_disconnect(lambda: self._viewers.discard(client.id))
+        client.on_delete(lambda: self._viewers.discard(client.id))
         updates = Updates()
         robot_map.on("taken", updates.note_taken)
-        client.on_connect(updates.begin_anew)
-        client.on_connect(lambda: self._note(client.id, is_there=True))
+
+        def begin() -> None:
+            updates.begin_anew()
+            self._viewers.add(client.id)
+            self._is_watched.set()
+
+        client.on_connect(begin)
 
         def push() -> None:
             nonlocal shown_title
@@ -192,22 +198,6 @@ class Dashboard:
         is_wrong = robot.get("trouble") or robot.get("deviations")
         return f"{'▲ ' if is_wrong else ''}{robot.get('name', 'no robot yet')} - Poise"
 
-    def _note(self, client: str, *, is_there: bool) -> None:
-        if is_there:
-            self._viewers.add(client)
-            self._is_watched.set()
-        else:
-            self._viewers.discard(client)
-
-    def _component(self, actions: PageActions, event: GenericEventArguments) -> None:
-        if self._seen.status is not None:
-            actions.show_component(str(event.args), self._page)
-
-    def _entry(self, actions: PageActions, event: GenericEventArguments) -> None:
-        for entry in self._seen.entries:
-            if entry.number == event.args:
-                actions.show_entry(entry)
-
 
 def _place_theme() -> None:
     """Place the button that changes between the system's theme, dark and light."""
@@ -221,15 +211,6 @@ def _place_theme() -> None:
 
     button = ui.button("Theme: auto", on_click=change)
     button.props('outline dense no-caps color=""')
-
-
-def _encrypted(keys: Credentials | None) -> dict[str, str]:
-    if keys is None:
-        return {}
-    return {
-        "ssl_certfile": str(keys.folder / CERTIFICATE),
-        "ssl_keyfile": str(keys.folder / PRIVATE_KEY),
-    }
 
 
 async def _listens(host: str, port: int) -> bool:
@@ -284,5 +265,6 @@ def serve(
         reconnect_timeout=_RECONNECT_LIMIT,
         message_history_length=100,
         show_welcome_message=False,
-        **_encrypted(keys),
+        ssl_certfile=keys and str(keys.folder / CERTIFICATE),
+        ssl_keyfile=keys and str(keys.folder / PRIVATE_KEY),
     )

@@ -6,7 +6,7 @@ import contextlib
 import json
 import math
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from html import escape
 from typing import Any, TypeVar
@@ -134,8 +134,11 @@ class PageActions:
             self._follow_log(name)
             ui.button("Close", on_click=dialog.close).props("no-caps")
 
-    def show_entry(self, entry: JournalEntry) -> None:
+    def show_entry(self, number: int, entries: Iterable[JournalEntry]) -> None:
         """Show a decision, why it was taken, and what else there was."""
+        entry = next((each for each in entries if each.number == number), None)
+        if entry is None:
+            return
         facts = entry.facts if isinstance(entry.facts, dict) else {}
         proposal = proposal_in(facts)
         with self._place, _dialog() as dialog:
