@@ -5,7 +5,7 @@ F of the whole is the mean of the phases' F over time, and what moves cost.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import accumulate, zip_longest
 from math import inf
 from random import Random
@@ -36,8 +36,6 @@ ROUNDS = 2
 """So often for each phase, where steps are counted instead of time."""
 
 
-Left = Callable[[], float]
-"""Returns how much of the budget is left [s]."""
 Solution = Mapping[str, Result]
 """Phase -> its placement, whose F has no moves; one that has none is not there."""
 
@@ -62,6 +60,8 @@ class PhaseSearch:
         self._beside = beside(problem)
         self._weights = problem.weights
         self._lasts = problem.lasts
+        # where steps are counted, time is not
+        self._budget = Budget(effort.seconds if effort.steps is None else inf)
         self.interrupted = False
 
     def alone(self) -> dict[str, Result]:
@@ -85,29 +85,30 @@ class PhaseSearch:
         """Return F of all phases, and of what moves between them."""
         return self._cost(held, held)
 
-    def chained(self, start: Solution, left: Left) -> dict[str, Result]:
+    def chained(self, start: Solution) -> dict[str, Result]:
         """Place one phase after the other beside those before, and then backwards."""
         held: dict[str, Result] = {}
         share = CHAINED / 2 / len(start)
         for name in start:
-            held[name] = self._step(name, held, start[name], share, left)
+            held[name] = self._step(name, held, start[name], share)
         for name in reversed(list(start)):
-            held[name] = self._step(name, held, held[name], share, left)
+            held[name] = self._step(name, held, held[name], share)
         return held
 
-    def together(self, start: Solution, left: Left, bound: float) -> dict[str, Result]:
-        """Search phases beside each other as one problem, while time is `left`."""
+    def together(self, start: Solution, bound: float) -> dict[str, Result]:
+        """Search phases beside each other as one problem, while time is left."""
         held, random = dict(start), Random(self._effort.seed)  # noqa: S311 - no secret
+        most = inf if self._effort.steps is None else ROUNDS * len(held)
         rounds = 0
-        while not self.interrupted and self.total(held) > bound:
-            is_over = left() <= 0
-            if self._effort.steps is not None:
-                is_over = rounds >= ROUNDS * len(held)
-            if is_over:
-                break
+        while (
+            rounds < most
+            and self._budget.left() > 0
+            and not self.interrupted
+            and self.total(held) > bound
+        ):
             rounds += 1
             names = self._some_beside(list(held), random)
-            better = self._search(names, held, left(), rounds)
+            better = self._search(names, held, rounds)
             if better and self._cost(better, held) < self._cost(
                 {name: held[name] for name in names}, held
             ):
@@ -128,11 +129,9 @@ class PhaseSearch:
         self.interrupted |= result.stopped_by == "interrupted"
         return result
 
-    def _step(
-        self, name: str, held: Solution, now: Result, share: float, left: Left
-    ) -> Result:
+    def _step(self, name: str, held: Solution, now: Result, share: float) -> Result:
         """Place one phase beside those that are held; as `now` if that is no worse."""
-        if self.interrupted or (self._effort.steps is None and left() <= 0):
+        if self.interrupted or self._budget.left() <= 0:
             return now
         placements = {phase: h.placement for phase, h in held.items()}
         problem = with_moves(self._problem, name, placements, start=True)
@@ -166,7 +165,7 @@ class PhaseSearch:
         return chosen
 
     def _search(
-        self, names: Sequence[str], held: Solution, left: float, seed: int
+        self, names: Sequence[str], held: Solution, seed: int
     ) -> dict[str, Result]:
         """Search some phases together; empty when a link's bandwidth is not kept."""
         others = {n: h.placement for n, h in held.items() if n not in names}
@@ -180,7 +179,7 @@ class PhaseSearch:
         known = [unit for name in names for unit in held[name].placed]
         core = Core(merged(parts, self._between(names, held)))
         effort = self._effort.share(TOGETHER)
-        seconds = max(0.0, min(effort.seconds, left))
+        seconds = max(0.0, min(effort.seconds, self._budget.left()))
         answer = effort._replace(seconds=seconds, seed=seed).search(core, known)
         self.interrupted |= answer.stopped_by == "interrupted"
         placed, results = answer.placed, dict[str, Result]()
@@ -267,7 +266,6 @@ def solve_phases(  # noqa: PLR0913 - each says how to decide, and has a default
     begin = perf_counter()
     if budget is None:
         budget = BUDGET if len(problem.phases) == 1 else PHASES_BUDGET
-    until = Budget(budget)
     search = PhaseSearch(
         problem, method, Effort(budget, steps, seed, stop), fewer=fewer
     )
@@ -282,10 +280,10 @@ def solve_phases(  # noqa: PLR0913 - each says how to decide, and has a default
     bound = sum(bounds) if len(bounds) == len(alone) else None
     if result.moves:
         held = {name: result for name, result in alone.items() if result.feasible}
-        better = search.chained(held, until.left)
+        better = search.chained(held)
         if method in {"auto", "search"}:
             enough = -inf if bound is None else bound + GAIN
-            better = search.together(better, until.left, enough)
+            better = search.together(better, enough)
         if search.total(better) < search.total(held) - GAIN:
             changed = {
                 name: result
