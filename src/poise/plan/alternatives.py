@@ -17,7 +17,7 @@ from poise.errors import UsageError
 from poise.model.hardware import fits
 from poise.plan.problem.changed_problem import keep_components
 from poise.plan.problem.items import Bundle
-from poise.plan.problem.problem import Problem
+from poise.plan.problem.problem import Need, Problem, needs
 from poise.plan.result import Result
 from poise.plan.result_records import Selection
 
@@ -31,22 +31,10 @@ MOST_DROPS = 256
 Decide = Callable[[frozenset[str], float], Result]
 """Decides some components with a share, in (0, 1], of the effort."""
 
-Need = tuple[Bundle, ...]
-"""What is to be provided: by any one of these, the best first."""
-
-
-def needs(problem: Problem) -> list[Need]:
-    """Return what is to be provided: each by any one of several architectures."""
-    groups: dict[str, list[Bundle]] = {}
-    for bundle in problem.architectures:
-        groups.setdefault(bundle.function or f"\0{bundle.name}", []).append(bundle)
-    return [tuple(sorted(g, key=lambda a: -a.quality)) for g in groups.values()]
-
 
 def has_choice(problem: Problem) -> bool:
     """Whether more than one architecture provides some function."""
-    functions = [bundle.function for bundle in problem.architectures if bundle.function]
-    return len({*functions}) < len(functions)
+    return len(needs(problem)) < len(problem.architectures)
 
 
 def members(problem: Problem, bundles: Iterable[Bundle]) -> frozenset[str]:

@@ -9,9 +9,9 @@ from poise.errors import RobotError, UsageError
 from poise.model import robot as model
 from poise.model.check.allowed_computers import Pins, pins
 from poise.model.phases import needs_device
-from poise.plan.alternatives import needs, part
+from poise.plan.alternatives import part
 from poise.plan.problem.items import Bundle, Edge, Hop, Item, TimeLimit
-from poise.plan.problem.problem import Problem
+from poise.plan.problem.problem import Problem, needs
 
 LATENESS_PRICE = 10.0
 """What F grows by when data takes twice as long as its deadline says: more than all

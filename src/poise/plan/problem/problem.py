@@ -83,14 +83,12 @@ class Problem(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
         Of equally good ones that is the one with the least overhead.
         """
-        groups: dict[str, list[Bundle]] = {}
-        for a in self.architectures:
-            groups.setdefault(a.function or f"\0{a.name}", []).append(a)
-        if len(groups) == len(self.architectures):
+        every = needs(self)
+        if len(every) == len(self.architectures):
             return self.connectors
         usual = [
-            group[0] if len(group) == 1 else min(group, key=self._how_usual)
-            for group in groups.values()
+            need[0] if len(need) == 1 else min(need, key=self._how_usual)
+            for need in every
         ]
         lesser = {name for a in self.architectures for name in a.components}
         lesser.difference_update(*(a.components for a in usual))
@@ -100,6 +98,18 @@ class Problem(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         inside = {*bundle.components}
         own = (k for k in self.connectors if not inside.isdisjoint(k.between))
         return -bundle.quality, sum(k.overhead for k in own)
+
+
+Need = tuple[Bundle, ...]
+"""What is to be provided: by any one of these, the best first."""
+
+
+def needs(problem: Problem) -> list[Need]:
+    """Return what is to be provided: each by any one of several architectures."""
+    groups: dict[str, list[Bundle]] = {}
+    for bundle in problem.architectures:
+        groups.setdefault(bundle.function or f"\0{bundle.name}", []).append(bundle)
+    return [tuple(sorted(g, key=lambda a: -a.quality)) for g in groups.values()]
 
 
 LEAST, MOST = 1e-30, 1e30

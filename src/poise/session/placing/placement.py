@@ -21,8 +21,8 @@ from poise.errors import UsageError, unknown
 from poise.estimate.outcomes import WELL, Conditions
 from poise.estimate.success_rates import learned, with_success
 from poise.model.robot import Robot
-from poise.plan.alternatives import needs
 from poise.plan.planner import SOLVERS
+from poise.plan.problem.problem import needs
 from poise.session.arguments import check_robot, check_task, check_type
 from poise.session.placing.by_time import DecidedByTime, Solve, decide_by_time
 from poise.session.render.picture import planned_picture
