@@ -398,12 +398,22 @@ def culprit_on(
 
 
 class PresentDemand(Struct, frozen=True, kw_only=True):
-    """The CPU demand of a component now [cores]."""
+    """The CPU demand of a component now [cores].
 
-    mean: float  # by its estimate
+    Parameters
+    ----------
+    mean, error
+        By its estimate.
+    counted
+        The demand that is counted with; no more than some computer can give it.
+    is_bounded
+        Whether no computer could give it all.
+    """
+
+    mean: float
     error: float
-    counted: float  # what is counted with: no more than some computer can give it
-    is_bounded: bool = False  # whether no computer could give it all
+    counted: float
+    is_bounded: bool = False
 
     def __str__(self) -> str:
         """Return it with how sure it is, for people."""
