@@ -46,13 +46,7 @@ from poise.runtime.component.implementation import (
     load_module,
     search_also,
 )
-from poise.runtime.component.ports import (
-    Port,
-    is_oneway,
-    methods_of,
-    ports_of,
-    timers_of,
-)
+from poise.runtime.component.ports import is_oneway, methods_of, ports_of, timers_of
 from poise.runtime.component.started_calls import ANSWER
 from poise.runtime.connectors.interface import methods
 from poise.runtime.hosting.command_line import die_with_parent
@@ -96,19 +90,18 @@ def check_code(
         except RobotError as error:
             broken.setdefault(_origin(error), []).append((path, component.name, error))
             continue
-        try:
-            ports = dict(_ports(path, component, robot.folder))
-        except _WrongCode as error:
-            findings.append(error.finding)
-        else:
-            if ports or component.implementation:
-                known[component.name] = ports
-            if component.implementation:
-                code = find(component.implementation, robot.folder)
-                timers[component.name] = timers_of(code)
-                reentrant |= {component.name} if code.reentrant else set()
-                findings += check_origin(path, architecture, module)
-                findings += check_parameters(path, component, code)
+        ports = _ports(path, component, robot.folder)
+        if isinstance(ports, Finding):
+            findings.append(ports)
+            continue
+        if ports or component.implementation:
+            known[component.name] = ports
+        if component.implementation:
+            code = find(component.implementation, robot.folder)
+            timers[component.name] = timers_of(code)
+            reentrant |= {component.name} if code.reentrant else set()
+            findings += check_origin(path, architecture, module)
+            findings += check_parameters(path, component, code)
     begin("")
     findings += map(_import_finding, broken.values())
     findings += check_ports(robot, known)
@@ -257,52 +250,48 @@ def _import_finding(same: Sequence[_BrokenImport]) -> Finding:
     return Finding((*path, "implementation"), f"{what}{of}{newline}{lines}")
 
 
-class _WrongCode(Exception):
-    """The code of a component is wrong."""
-
-    def __init__(self, path: Path, message: str) -> None:
-        super().__init__(message)
-        self.finding = Finding(path, message)
-
-
 def _ports(
     path: Path, component: ComponentEntry, folder: str
-) -> Iterator[tuple[str, KnownPort]]:
-    """Yield the ports that the class or, without one, the robot file declares."""
-    if component.implementation:
-        yield from _coded_ports((*path, "implementation"), component, folder)
-    for port in component.ports:
-        where = (*path, "ports", port.name, port.kind)
-        try:
-            declared = find_type(port.type, folder)
-        except RobotError as error:
-            raise _WrongCode(where, str(error)) from None
-        yield port.name, _known(port.name, port.kind, declared)
-
-
-def _coded_ports(
-    path: Path, component: ComponentEntry, folder: str
-) -> Iterator[tuple[str, KnownPort]]:
+) -> dict[str, KnownPort] | Finding:
+    """Return the ports that class and robot file declare, or what is wrong."""
+    ports, where = dict[str, KnownPort](), (*path, "implementation")
     try:
-        code = find_for(component.implementation, component.parameters, folder)
-        ports = ports_of(code)
-        timers_of(code)
-        known = [(n, _known_of(port)) for n, port in ports.items()]
-        for port in ports.values():
-            # raises when the type cannot be encoded
-            (methods if port.kind in {"provides", "requires"} else codec)(port.type)
-        check_state(code)
-        _check_keeps_state(component, code)
+        if component.implementation:
+            ports = _coded_ports(component, folder)
+        for port in component.ports:
+            where = (*path, "ports", port.name, port.kind)
+            declared = find_type(port.type, folder)
+            ports[port.name] = _known(port.name, port.kind, declared)
     except PoiseError as error:
-        raise _WrongCode(path, str(error)) from None
+        return Finding(where, str(error))
     # Reading annotations runs the user's code, which may raise anything.
-    except Exception as error:
-        message = (
-            f"the ports of '{component.implementation}' cannot be read: "
-            f"{type(error).__name__}: {error}"
+    except Exception as error:  # noqa: BLE001
+        said = f"{type(error).__name__}: {error}"
+        of = component.implementation or component.name
+        return Finding(where, f"the ports of '{of}' cannot be read: {said}")
+    return ports
+
+
+def _coded_ports(component: ComponentEntry, folder: str) -> dict[str, KnownPort]:
+    """Return the ports of a class; PoiseError: it cannot be run."""
+    code = find_for(component.implementation, component.parameters, folder)
+    ports = ports_of(code)
+    timers_of(code)
+    known = {
+        name: _known(
+            name,
+            port.kind,
+            port.type,
+            blocks=port.queue is not None and port.queue.policy == "block",
         )
-        raise _WrongCode(path, message) from error
-    yield from known
+        for name, port in ports.items()
+    }
+    for port in ports.values():
+        # raises when the type cannot be encoded
+        (methods if port.kind in {"provides", "requires"} else codec)(port.type)
+    check_state(code)
+    _check_keeps_state(component, code)
+    return known
 
 
 def _check_keeps_state(entry: ComponentEntry, code: type[Component]) -> None:
@@ -318,18 +307,18 @@ def _check_keeps_state(entry: ComponentEntry, code: type[Component]) -> None:
         )
 
 
-def _known_of(port: Port) -> KnownPort:
-    known = _known(port.name, port.kind, port.type)
-    is_blocking = port.queue is not None and port.queue.policy == "block"
-    return msgspec.structs.replace(known, waits=known.waits or is_blocking)
-
-
-def _known(name: str, kind: PortKind, type_: Any) -> KnownPort:  # noqa: ANN401, any type
+def _known(
+    name: str,
+    kind: PortKind,
+    type_: Any,  # noqa: ANN401, any type
+    *,
+    blocks: bool = False,
+) -> KnownPort:
     shown = getattr(type_, "__qualname__", str(type_))
     waits = kind == "requires" and not all(
         is_oneway(type_, method) for method in methods_of(type_)
     )
-    return KnownPort(name, kind, shown, fingerprint(type_), waits)
+    return KnownPort(name, kind, shown, fingerprint(type_), waits or blocks)
 
 
 class CheckedCode(msgspec.Struct, frozen=True):

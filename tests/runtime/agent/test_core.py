@@ -14,11 +14,11 @@ from msgspec import structs
 
 from poise.errors import Unavailable
 from poise.runtime.agent.core import AgentCore
-from poise.runtime.agent.inbox import SHOWN_FOR
 from poise.runtime.agent.surroundings import AgentSetup, AgentState, Reply, Surroundings
 from poise.runtime.supervision.container_processes import ProcessEnd
 from poise.runtime.supervision.supervisor import FENCE_GRACE
 from poise.testing import VirtualClock
+from poise.threads import SHOWN_FOR
 from poise.wire.heartbeats import UNCUT_LEASE, Address, Hear, NextBeat
 from poise.wire.records.code_records import CodePart, InstallCode
 from poise.wire.records.deployment_records import (

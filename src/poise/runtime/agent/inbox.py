@@ -17,7 +17,7 @@ from msgspec import structs
 from poise.clock import Clock
 from poise.decoding import from_msgpack
 from poise.runtime.agent.surroundings import Reply
-from poise.threads import BackOff
+from poise.threads import SHOWN_FOR, BackOff
 from poise.version import VERSION
 from poise.wire.codec import MALFORMED
 from poise.wire.records.request_records import (
@@ -32,8 +32,6 @@ from poise.wire.records.status_records import ErrorCount
 
 log = logging.getLogger(__name__)
 
-SHOWN_FOR = 60.0
-"""An error is shown for this time after it came last [s]."""
 _MOST_TROUBLES = 20
 """The most parts whose errors are shown; all errors are logged."""
 

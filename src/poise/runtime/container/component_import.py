@@ -16,15 +16,10 @@ from poise.runtime.hosting.command_line import CommandLine
 from poise.runtime.hosting.output import write_as
 from poise.runtime.hosting.runner import Runner
 from poise.wire.records.code_records import CODE, PACKAGES
-from poise.wire.records.deployment_records import ComponentSpec, ContainerSpec
+from poise.wire.records.deployment_records import ComponentSpec
 
 CODE_FOLDER = "POISE_CODE"
 """Environment variable: the folder of the versions of code that were sent here."""
-
-
-def folder_of(spec: ContainerSpec) -> str:
-    """Return where a container's implementations are."""
-    return folder_of_version(spec.code) if spec.code else spec.folder
 
 
 def folder_of_version(version: str) -> str:

@@ -37,7 +37,7 @@ from poise.runtime.component.error_report import sendable, traceback_of
 from poise.runtime.component.implementation import search_also
 from poise.runtime.connectors.tap import ObservedPort, Taps
 from poise.runtime.container.agent_link import AgentLink
-from poise.runtime.container.component_import import folder_of, prepare
+from poise.runtime.container.component_import import folder_of_version, prepare
 from poise.runtime.execution.container_lease import LeaseEnd
 from poise.runtime.execution.counters import ComponentKey, StatsPage
 from poise.runtime.execution.data_age import ComputerClock
@@ -318,7 +318,7 @@ class Container:
 
         A goal that is told again would undo what steps of a migration did meanwhile.
         """
-        folder = folder_of(spec)
+        folder = folder_of_version(spec.code) if spec.code else spec.folder
         search_also(spec.repository)
         wanted = {c.key: c for c in spec.components}
         for key, (tried, _) in list(self._broken.items()):

@@ -7,7 +7,7 @@ started again after a delay that grows. An error in handling one stops no other.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from math import inf
 from random import Random
 
@@ -77,12 +77,13 @@ class Supervisor:
     def extend_lease(self, until: float) -> None:
         """Let leased components act until then [s, CLOCK_BOOTTIME]; on any thread."""
         self.lease_end = until
-        wanted = self.wanted.containers if self.wanted else ()
+        containers = self.wanted.containers if self.wanted else ()
+        wanted = {container.name: container for container in containers}
         for process in list(self.processes.values()):
             if (
                 until == -inf
                 or not process.is_fenced()
-                or process.runs_only(_named(process.name, wanted))
+                or process.runs_only(wanted.get(process.name))
             ):
                 process.control.extend_lease(until)
 
@@ -337,10 +338,6 @@ class Supervisor:
         self.health.enter(container, "restarting", why_none)
         backoff = self._backoffs.setdefault(container, BackOff())
         backoff.note_end(self._clock.now(), self._random.uniform(0.5, 1))
-
-
-def _named(name: str, containers: Iterable[ContainerSpec]) -> ContainerSpec | None:
-    return next((container for container in containers if container.name == name), None)
 
 
 def part_of(container: str) -> str:
