@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import suppress
+from itertools import chain
 
 from msgspec import Struct
 from msgspec.structs import replace
@@ -253,14 +253,7 @@ class Admission:
         for attempt in due:
             is_new = attempt.progress.since is None
             (functions if is_new else at_work).update(attempt.action.functions)
-        provided = Counter(a.function for a in self._live.robot.architectures)
-        return {
-            component.name
-            for a in self._serving.moving()
-            if a.function in functions - at_work and provided[a.function] > 1
-            for component in a.components
-            if component.name in self._live.placed
-        }
+        return {*chain(*self._serving.exchangeable(functions - at_work))}
 
     def _with_resting(
         self, by_plan: Mapping[str, str], functions: Collection[str]

@@ -100,16 +100,22 @@ class Serving:
         self, lost: Collection[str], functions: Collection[str]
     ) -> list[str]:
         """Return placed components that cannot come back, but have an alternative."""
-        robot, placed = self._live.robot, self._live.placed
-        provided = Counter(a.function for a in robot.architectures)
-        pinned, found = pinned_components(robot), list[str]()
-        for architecture in self.moving():
-            function = architecture.function
-            here = [c.name for c in architecture.components if c.name in placed]
-            is_stuck = any(placed[n].computer in lost for n in here if n in pinned)
-            if is_stuck and function in functions and provided[function] > 1:
+        placed, pinned = self._live.placed, pinned_components(self._live.robot)
+        found: list[str] = []
+        for here in self.exchangeable(functions):
+            if any(placed[name].computer in lost for name in here if name in pinned):
                 found += here
         return found
+
+    def exchangeable(self, functions: Collection[str]) -> list[list[str]]:
+        """Return the placed components of each architecture that has an alternative."""
+        robot, placed = self._live.robot, self._live.placed
+        provided = Counter(a.function for a in robot.architectures)
+        return [
+            [c.name for c in a.components if c.name in placed]
+            for a in self.moving()
+            if a.function in functions and provided[a.function] > 1
+        ]
 
     def architectures(self, functions: Collection[str]) -> list[str]:
         """Return the names of the architectures that provide functions now."""

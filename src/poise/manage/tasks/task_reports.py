@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Mapping
 from statistics import median
 from typing import Literal
@@ -67,11 +67,8 @@ class Switches:
     """Counts switches from one action to the next."""
 
     def __init__(self) -> None:
-        self._count = {True: 0, False: 0}
-        self._seconds: dict[bool, deque[float]] = {
-            True: deque(maxlen=_MOST),
-            False: deque(maxlen=_MOST),
-        }
+        self._count = Counter[bool]()
+        self._seconds = {hit: deque[float](maxlen=_MOST) for hit in (True, False)}
 
     def note(self, seconds: float, *, is_hit: bool) -> None:
         """Count a switch that took so long [s]."""
