@@ -30,11 +30,11 @@ def take(
     robbed: Robbed, policy: Policy, limits: MoveLimits | None = None, now: float = 0.0
 ) -> None:
     """Carry out the action of a policy about the first subject that it finds."""
-    situation = robbed.situation()
+    situation = replace(robbed.situation(), now=now)
     policies = Policies([replace(policy, lasts=0.0)])
     symptom = policies.evaluate(partial(values_of, situation), now)[0]
     actions = Actions(robbed.run, robbed.suspensions, limits or MoveLimits(), policies)
-    actions.act(symptom, situation, now)
+    actions.act(symptom, situation)
 
 
 def about(name: str, **keys: object) -> Policy:
@@ -91,7 +91,7 @@ def test_what_is_not_at_work_any_more_is_not_restarted() -> None:
     symptom = Symptom(policy=policy, what="it is late", values=late)
     actions = Actions(robbed.run, robbed.suspensions, MoveLimits(), Policies([policy]))
     with pytest.raises(RunError, match="component 'low' is not at work"):
-        actions.act(symptom, robbed.situation(), 0.0)
+        actions.act(symptom, robbed.situation())
 
 
 def robbed_of_two() -> Robbed:

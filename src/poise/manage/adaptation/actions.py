@@ -8,7 +8,7 @@ computer, then suspended; what is pinned stays, and its agent keeps restarting i
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 
 from poise.errors import PoiseError, RunError, UsageError
@@ -52,7 +52,7 @@ class Actions:
         self._limits = limits
         self._crashed: dict[str, dict[str, float]] = {}
         """Container -> the computers where it crashed again and again, and when [s]."""
-        self._by_name: Mapping[Do, Callable[[Symptom, Situation, float], None]] = {
+        self._by_name: Mapping[Do, Callable[[Symptom, Situation], None]] = {
             "move": self._move,
             "replace": self._replace,
             "restart": self._restart,
@@ -84,18 +84,18 @@ class Actions:
     def _carry_out(self, symptom: Symptom, situation: Situation, what: str) -> None:
         self._policies.note_acted([symptom], situation.now)
         try:
-            self.act(symptom, situation, situation.now)
+            self.act(symptom, situation)
         except PoiseError as error:
             self._live.journal.note("failed", f"{what}: {error}")
 
-    def act(self, symptom: Symptom, situation: Situation, now: float) -> None:
+    def act(self, symptom: Symptom, situation: Situation) -> None:
         """Carry out the action of a symptom's policy."""
         do = symptom.policy.do
         assert do is not None  # noqa: S101, `respond` looked
-        self._by_name[do](symptom, situation, now)
+        self._by_name[do](symptom, situation)
 
-    def _move(self, symptom: Symptom, situation: Situation, now: float) -> None:
-        policy, live = symptom.policy, self._live
+    def _move(self, symptom: Symptom, situation: Situation) -> None:
+        policy, live, now = symptom.policy, self._live, situation.now
         component, target = _component(symptom), policy.to or ""
         source = situation.placement.get(component, "")
         check_links(situation, component, target)
@@ -108,7 +108,7 @@ class Actions:
         self._limits.note([TransitionStep(component, source, target)], now)
         _raise_on_failure(plan_move(live, component, target).run())
 
-    def _replace(self, symptom: Symptom, _situation: Situation, _now: float) -> None:
+    def _replace(self, symptom: Symptom, _situation: Situation) -> None:
         policy, live = symptom.policy, self._live
         old = self._architecture(symptom)
         others = [
@@ -121,7 +121,7 @@ class Actions:
         replacement = plan_alternative(live, old.name, by, fresh=policy.force)
         _raise_on_failure(replacement.run())
 
-    def _restart(self, symptom: Symptom, situation: Situation, _now: float) -> None:
+    def _restart(self, symptom: Symptom, situation: Situation) -> None:
         live = self._live
         if symptom.policy.for_each == "container":
             components = _components_in(live, symptom)
@@ -134,12 +134,12 @@ class Actions:
             steps += [TransitionStep(name, at), TransitionStep(name, target=at)]
         _raise_on_failure(transit(live, tuple(steps)))
 
-    def _suspend(self, symptom: Symptom, situation: Situation, now: float) -> None:
+    def _suspend(self, symptom: Symptom, situation: Situation) -> None:
         if symptom.policy.for_each == "computer":
             architecture = _lowest(situation, symptom.computer)
         else:
             architecture = self._architecture(symptom)
-        self._suspensions.suspend([architecture.name], symptom.what, now)
+        self._suspensions.suspend([architecture.name], symptom.what, situation.now)
 
     def _architecture(self, symptom: Symptom) -> Architecture:
         placed, name = self._live.placed, symptom.values.name
@@ -152,11 +152,9 @@ class Actions:
                     return architecture
         raise UsageError(f"no architecture has '{name}'")
 
-    def _restart_elsewhere(
-        self, symptom: Symptom, situation: Situation, now: float
-    ) -> None:
+    def _restart_elsewhere(self, symptom: Symptom, situation: Situation) -> None:
         """Restart a container where it has not crashed; else suspend it."""
-        live, container = self._live, symptom.values.name
+        live, container, now = self._live, symptom.values.name, situation.now
         names = _components_in(live, symptom)
         pinned = _pinned(live.robot)
         if not names:
@@ -166,7 +164,7 @@ class Actions:
                 stays = f"component '{name}' stays on '{symptom.computer}'"
                 goes_on = "its agent keeps restarting it"
                 raise RunError(f"{stays}: {pinned[name]}; {goes_on}")
-        before = _crashed_before(container, situation, now)
+        before = _crashed_before(container, situation)
         before |= self._crashed.get(container, {})
         crashed = {at: when for at, when in before.items() if now - when < FORGET_AFTER}
         crashed[symptom.computer] = now
@@ -184,18 +182,17 @@ class Actions:
                 raise RunError(f"{away} went out of reach in the meantime")
             crashed |= dict.fromkeys(where.values(), now)
         del self._crashed[container]
-        self._suspend_crashed(names, symptom, situation, sorted(crashed), now)
+        self._suspend_crashed(names[0], symptom, situation, crashed)
 
     def _suspend_crashed(
         self,
-        names: list[str],
+        component: str,
         symptom: Symptom,
         situation: Situation,
-        crashed: list[str],
-        now: float,
+        crashed: Iterable[str],
     ) -> None:
         """Suspend an architecture for good, and say what happened and the way out."""
-        computers = " and ".join(f"'{computer}'" for computer in crashed)
+        computers = " and ".join(f"'{computer}'" for computer in sorted(crashed))
         container = symptom.values.name
         health = situation.statuses[symptom.computer].health
         here = next((h for h in health if h.name == container), None)
@@ -206,14 +203,14 @@ class Actions:
         way_out = "it is resumed when its code changes, or by `poise balance`"
         said = f" (the last time: {fault.message})" if fault else ""
         why = f"container '{container}' crashes again and again on {computers}{said}"
-        architecture = self._live.robot.architecture_of(names[0])
+        architecture = self._live.robot.architecture_of(component)
         self._suspensions.quarantine(architecture.name)
         is_there = any(c.name in self._live.placed for c in architecture.components)
         # else the last try to start it ended so
         put = (
             self._suspensions.suspend if is_there else self._suspensions.note_suspended
         )
-        put([architecture.name], f"{why}; {way_out}", now)
+        put([architecture.name], f"{why}; {way_out}", situation.now)
 
 
 CRASHES = 5
@@ -255,9 +252,7 @@ def _lowest(situation: Situation, computer: str) -> Architecture:
     return lowest
 
 
-def _crashed_before(
-    container: str, situation: Situation, now: float
-) -> dict[str, float]:
+def _crashed_before(container: str, situation: Situation) -> dict[str, float]:
     """Return where agents saw it crash as often, under an earlier manager, and when."""
     crashed = {}
     for computer, status in situation.statuses.items():
@@ -267,7 +262,7 @@ def _crashed_before(
             if fault.container == container and not fault.is_over
         ]
         if sum(age < FORGET_AFTER for age in ages) >= CRASHES:
-            crashed[computer] = now - max(0.0, ages[-1])
+            crashed[computer] = situation.now - max(0.0, ages[-1])
     return crashed
 
 
