@@ -181,7 +181,10 @@ class LiveRobot(DesiredState):
         self.agents.wait_news(self._raise_on_trouble, seconds)
 
     def unreached(self, *, is_brief: bool = False) -> dict[str, str]:
-        """Return what is known of computers out of reach; brief: not of components."""
+        """Return what is known of computers out of reach, in words.
+
+        `is_brief`: without what becomes of their components.
+        """
         placement = {} if is_brief else self.placement()
         return unreached(self.agents, placement, self.layout.leased)
 

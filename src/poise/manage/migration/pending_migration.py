@@ -36,9 +36,9 @@ class Stall:
         self._faults_before = last_numbers(live.agents.statuses())
 
     def check(self, missing: list[str], wanted: Collection[Incarnation]) -> None:
-        """Raise RunError when nothing comes nearer for `STALL_LIMIT`, or ends.
+        """Raise RunError when nothing comes nearer for long, or a container ends.
 
-        Users' code that is imported or configured may take longer.
+        Users' code that is imported or configured may take longer than `STALL_LIMIT`.
         `missing`: what is waited for, in words.
         """
         self._raise_on_faults(wanted)
