@@ -118,74 +118,69 @@ def transit(live: LiveRobot, steps: tuple[TransitionStep, ...]) -> TransitionRep
     """Take the steps of a planned transition; roll all back when one fails."""
     what = f"transition of {counted(len(steps), 'step')}"
     live.journal.note("decided", what, steps=steps)
-    transition, reason = _Transition(live), ""
+    moves: list[MigrationReport] = []
+    reason = ""
     for number, step in enumerate(steps):
-        if why := transition.execute(step):
-            troubles = transition.roll_back(steps[:number])
+        if why := _execute(live, step, moves):
+            troubles = _roll_back(live, steps[:number], moves)
             reason = f"step '{step}' failed: {why}{troubles}"
             live.journal.note("failed", f"transition rolled back; {reason}")
             break
     else:
         live.journal.note("done", "transition", placement=live.placement())
     return TransitionReport(
-        steps=steps,
-        committed=not reason,
-        reason=reason,
-        moves=tuple(transition.moves),
+        steps=steps, committed=not reason, reason=reason, moves=tuple(moves)
     )
 
 
-class _Transition:
-    """Takes the steps of one transition; a step that fails changes nothing."""
+def _execute(
+    live: LiveRobot, step: TransitionStep, moves: list[MigrationReport]
+) -> str:
+    """Take a step, which changes nothing when it fails; return why it did."""
+    try:
+        if not step.source:
+            _start(live, step.component, step.target)
+        elif not step.target:
+            _stop(live, step.component)
+        else:
+            report = plan_move(live, step.component, step.target).run()
+            moves.append(report)
+            return report.reason
+    except (RunError, UsageError) as error:
+        return str(error)
+    return ""
 
-    def __init__(self, live: LiveRobot) -> None:
-        self.moves: list[MigrationReport] = []
-        self._live = live
 
-    def execute(self, step: TransitionStep) -> str:
-        """Take a step; return why it failed, or an empty text."""
-        try:
-            if not step.source:
-                self._start(step.component, step.target)
-            elif not step.target:
-                self._stop(step.component)
-            else:
-                report = plan_move(self._live, step.component, step.target).run()
-                self.moves.append(report)
-                return report.reason
-        except (RunError, UsageError) as error:
-            return str(error)
-        return ""
+def _roll_back(
+    live: LiveRobot, taken: Sequence[TransitionStep], moves: list[MigrationReport]
+) -> str:
+    """Undo the steps that were taken, last first; return what went wrong there."""
+    troubles = ""
+    for step in reversed(taken):
+        if reason := _execute(live, step.inverse(), moves):
+            troubles += f"; rolling back '{step}' failed: {reason}"
+    return troubles
 
-    def roll_back(self, taken: Sequence[TransitionStep]) -> str:
-        """Undo the steps that were taken, last first; return what went wrong there."""
-        troubles = ""
-        for step in reversed(taken):
-            if reason := self.execute(step.inverse()):
-                troubles += f"; rolling back '{step}' failed: {reason}"
-        return troubles
 
-    def _start(self, component: str, computer: str) -> None:
-        live = self._live
-        new = live.begun(component, computer)
-        try:
-            inactive = [new.with_goal("inactive")]
-            live.bring(inactive, READY_LIMIT, f"prepare '{component}'")
-            live.end_left_behind([new])
-            live.bring([new], ACTIVE_LIMIT, f"activate '{component}'")
-        except RunError as error:
-            live.commit(live.desired.with_coming(()), f"it does not start: {error}")
-            raise
-        live.commit(live.desired.placing([new]), f"'{component}' is at work")
+def _start(live: LiveRobot, component: str, computer: str) -> None:
+    new = live.begun(component, computer)
+    try:
+        live.bring([new.with_goal("inactive")], READY_LIMIT, f"prepare '{component}'")
+        live.end_left_behind([new])
+        live.bring([new], ACTIVE_LIMIT, f"activate '{component}'")
+    except RunError as error:
+        live.commit(live.desired.with_coming(()), f"it does not start: {error}")
+        raise
+    live.commit(live.desired.placing([new]), f"'{component}' is at work")
 
-    def _stop(self, component: str) -> None:
-        live = self._live
-        old = live.placed[component]
-        live.commit(live.desired.without([component]), f"end '{component}'")
-        try:
-            live.wait_ended(old)
-        except RunError as error:
-            # the old one has lost its state by now, if it listens at all
-            again = structs.replace(old, epoch=live.next_epoch(component))
-            live.commit(live.desired.placing([again]), f"it does not end: {error}")
-            raise
+
+def _stop(live: LiveRobot, component: str) -> None:
+    old = live.placed[component]
+    live.commit(live.desired.without([component]), f"end '{component}'")
+    try:
+        live.wait_ended(old)
+    except RunError as error:
+        # the old one has lost its state by now, if it listens at all
+        again = structs.replace(old, epoch=live.next_epoch(component))
+        live.commit(live.desired.placing([again]), f"it does not end: {error}")
+        raise
