@@ -364,19 +364,13 @@ def _with_predictions(
     for phase, earlier in zip(problem.phases, before.phases, strict=True):
         result = decided.task_result.results[phase.name]
         summed = {each.name: each for each in phase.problem.time_limits}
-        fitted = {
-            each.name: each
-            for each in _fitted_limits(
-                summed,
-                result,
-                _ages(decided.predicted.get(phase.name, PredictedTimes())),
-                _ages(alone.get(phase.name, PredictedTimes())),
-            )
-        }
+        ages = _ages(decided.predicted.get(phase.name, PredictedTimes()))
+        ages_alone = _ages(alone.get(phase.name, PredictedTimes()))
+        found = _fitted_limits(summed, result, ages, ages_alone)
+        fitted = {each.name: each for each in found}
         limits = tuple(fitted.get(e.name, e) for e in earlier.problem.time_limits)
-        phases.append(
-            replace(earlier, problem=replace(earlier.problem, time_limits=limits))
-        )
+        changed = replace(earlier.problem, time_limits=limits)
+        phases.append(replace(earlier, problem=changed))
     return replace(before, phases=tuple(phases))
 
 

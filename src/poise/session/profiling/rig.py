@@ -80,8 +80,8 @@ class Played(Struct, frozen=True):
         parameters = {
             "recording": self.recording,
             "ports": {
-                name: msgspec.to_builtins(self.parts[input_])
-                for input_, name in self.ports().items()
+                made.between[0].port: msgspec.to_builtins(self.parts[input_])
+                for input_, made in self._made().items()
             },
             **(msgspec.to_builtins(self.bag) if self.bag else {}),
         }
@@ -93,30 +93,25 @@ class Played(Struct, frozen=True):
         )
         return Architecture(name=PLAYER, function=PLAYER, components=(component,))
 
-    def ports(self) -> dict[str, str]:
-        """Return input -> the replay component's port for it."""
-        return {input_: f"output_{i}" for i, input_ in enumerate(self.parts)}
+    def _made(self) -> dict[str, Connector]:
+        """Return input -> the replay component's connector to it."""
+        made = {}
+        for number, input_ in enumerate(self.parts):
+            component, _, port = input_.partition(".")
+            source = ConnectorEnd(PLAYER, f"output_{number}")
+            made[input_] = Connector(between=(source, ConnectorEnd(component, port)))
+        return made
 
     def connectors(self, robot: Robot) -> tuple[Connector, ...]:
         """Return the robot's connectors with the replaced ones."""
         kept = tuple(c for c in robot.connectors if not self.replaces(c))
-        return (*kept, *(self._connector(*each) for each in self.ports().items()))
+        return (*kept, *self._made().values())
 
     def names(self, robot: Robot) -> dict[str, str]:
         """Return replaced connectors of the robot -> their replacements."""
-        ports = self.ports()
-        return {
-            str(c): str(self._connector(str(c.between[1]), ports[str(c.between[1])]))
-            for c in robot.connectors
-            if self.replaces(c)
-        }
-
-    @staticmethod
-    def _connector(input_: str, name: str) -> Connector:
-        component, _, port = input_.partition(".")
-        return Connector(
-            between=(ConnectorEnd(PLAYER, name), ConnectorEnd(component, port))
-        )
+        made = self._made()
+        replaced = (c for c in robot.connectors if self.replaces(c))
+        return {str(c): str(made[str(c.between[1])]) for c in replaced}
 
 
 def played(robot: Robot) -> Played:

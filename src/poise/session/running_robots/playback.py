@@ -142,12 +142,6 @@ def _source(said: Said) -> str:
     return f"{found[1]}.{found[2]}"
 
 
-def _is_call(value: object) -> bool:
-    """Return whether this is how a call is recorded, with its outcome."""
-    ends = {"returned", "raised"}
-    return isinstance(value, dict) and "seconds" in value and bool(ends & value.keys())
-
-
 def _publish(
     component: Callable[[str], RunningComponent], port: str, said: Said
 ) -> str:
@@ -156,5 +150,9 @@ def _publish(
     try:
         component(owner).publish(name, said.value, limit=_LIMIT)
     except UsageError as error:
-        return CALLS if _is_call(said.value) else str(error)
+        # a call is recorded with how long it took, and its outcome
+        has = said.value.keys() if isinstance(said.value, dict) else set[str]()
+        return (
+            CALLS if "seconds" in has and {"returned", "raised"} & has else str(error)
+        )
     return ""
