@@ -47,9 +47,6 @@ class Planner:
 
     def __init__(self, problem: Problem) -> None:
         self._held: dict[str, Item] = {}  # by `place`, as they were before
-        self._build(problem)
-
-    def _build(self, problem: Problem) -> None:
         self._has_alternatives = has_choice(problem)
         self._keep(CompiledProblem(problem))
 
@@ -215,7 +212,8 @@ class Planner:
         )
         # what is held together counts on, so that F can be compared
         scale = scale_of(self.problem, self._compiled.arrays)
-        self._build(replace(self.problem, components=components, overhead_scale=scale))
+        problem = replace(self.problem, components=components, overhead_scale=scale)
+        self._keep(CompiledProblem(problem))
 
 
 def _check_call(
@@ -226,9 +224,7 @@ def _check_call(
         raise UsageError(f"budget is {budget!r} s, must be finite and >= 0")
     if method not in SOLVERS:
         raise UsageError(f"no method {method!r} (there are: {', '.join(SOLVERS)})")
-    for name, count in (("seed", seed), ("steps", steps)):
-        if name == "steps" and count is None:
-            continue
+    for name, count in (("seed", seed), ("steps", 0 if steps is None else steps)):
         if not (isinstance(count, int) and 0 <= count < UNLIMITED):
             raise UsageError(
                 f"{name} is {count!r}, must be a whole number in [0, 2^62)"
@@ -362,16 +358,14 @@ class Effort(NamedTuple):
 
     def exact(self, core: Core, known: Placed) -> Answer:
         """Spend it on a proof."""
-        if self.steps is not None:
-            return Answer(*core.exact(known, inf, self.steps, self.stop))
-        return Answer(*core.exact(known, self.seconds, UNLIMITED, self.stop))
+        return Answer(*core.exact(known, *self._limits(), self.stop))
 
     def search(self, core: Core, known: Placed) -> Answer:
         """Spend it on search."""
-        seconds, steps = inf, self.steps
-        if steps is None:
-            seconds, steps = self.seconds, UNLIMITED
-        return Answer(*core.search(known, seconds, steps, self.seed, self.stop))
+        return Answer(*core.search(known, *self._limits(), self.seed, self.stop))
+
+    def _limits(self) -> tuple[float, int]:
+        return (self.seconds, UNLIMITED) if self.steps is None else (inf, self.steps)
 
 
 def run_portfolio(compiled: CompiledProblem, method: str, effort: Effort) -> Result:
