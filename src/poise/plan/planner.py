@@ -224,7 +224,8 @@ def _check_call(
         raise UsageError(f"budget is {budget!r} s, must be finite and >= 0")
     if method not in SOLVERS:
         raise UsageError(f"no method {method!r} (there are: {', '.join(SOLVERS)})")
-    for name, count in (("seed", seed), ("steps", 0 if steps is None else steps)):
+    counts: dict[str, object] = {"seed": seed, "steps": 0 if steps is None else steps}
+    for name, count in counts.items():
         if not (isinstance(count, int) and 0 <= count < UNLIMITED):
             raise UsageError(
                 f"{name} is {count!r}, must be a whole number in [0, 2^62)"
