@@ -27,19 +27,16 @@ class BridgeLine(Struct, frozen=True, kw_only=True):
     depth: int = 10
     port: str = ""
 
-    def qos(self, **policies: Any) -> Any:  # noqa: ANN401, a profile of rclpy
-        """Return the quality of service that it asks for, with other `policies`."""
+    def qos(self, reliability: str = "") -> Any:  # noqa: ANN401, a profile of rclpy
+        """Return the quality of service that it asks for, or with less reliability."""
         from rclpy import qos  # noqa: PLC0415, only where a node runs
 
-        given = {
-            "reliability": (self.reliability or "reliable").replace(" ", "_").upper(),
-            "durability": (self.durability or "volatile").replace(" ", "_").upper(),
-            **policies,
-        }
+        reliability = reliability or self.reliability or "reliable"
+        durability = self.durability or "volatile"
         return qos.QoSProfile(
             depth=self.depth,
-            reliability=qos.ReliabilityPolicy[given["reliability"]],
-            durability=qos.DurabilityPolicy[given["durability"]],
+            reliability=qos.ReliabilityPolicy[reliability.replace(" ", "_").upper()],
+            durability=qos.DurabilityPolicy[durability.replace(" ", "_").upper()],
         )
 
 

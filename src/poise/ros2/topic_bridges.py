@@ -125,7 +125,7 @@ class FromTopics(Topics):
         super().open()
         self._arrivals = Arrivals()
         for entry, pair in zip(self.entries, self.conversions(self.clock), strict=True):
-            self._subscribe(entry, pair.from_ros, {})
+            self._subscribe(entry, pair.from_ros)
         self.node.create_timer(_LOOK_EVERY, self._look_at_others)
 
     def activate(self) -> None:
@@ -133,9 +133,9 @@ class FromTopics(Topics):
         self.listen()
 
     def _subscribe(
-        self, entry: BridgeLine, from_ros: Convert, less: dict[str, str]
+        self, entry: BridgeLine, from_ros: Convert, reliability: str = ""
     ) -> None:
-        """Subscribe; with `less` when a publisher offers no more, which is said."""
+        """Subscribe; with less reliability when a publisher offers no more."""
         from rclpy.event_handler import SubscriptionEventCallbacks  # noqa: PLC0415, only where a node runs
 
         def take(message: Any, info: Mapping[str, Any]) -> None:  # noqa: ANN401, a message
@@ -147,24 +147,23 @@ class FromTopics(Topics):
 
         def offered_less(event: Any) -> None:  # noqa: ANN401, an event
             policy = event.last_policy_kind.name.lower().rpartition("_")[2]
-            if policy in less or policy not in _LEAST or getattr(entry, policy):
+            if policy != "reliability" or reliability or entry.reliability:
                 raise RobotError(
                     f"'{entry.ros2}' has a publisher that offers less {policy} than "
                     "the bridge asks for: nothing comes from it"
                 )
             self.log.warning(
-                "'%s' has a publisher without %s: subscribed without it, too",
+                "'%s' has a publisher without reliability: subscribed without it, too",
                 entry.ros2,
-                policy,
             )
             self.node.destroy_subscription(subscription)
-            self._subscribe(entry, from_ros, {**less, **_LEAST[policy]})
+            self._subscribe(entry, from_ros, "best effort")
 
         subscription = self.node.create_subscription(
             interface(entry.type),
             entry.ros2,
             take,
-            entry.qos(**less),
+            entry.qos(reliability),
             event_callbacks=SubscriptionEventCallbacks(incompatible_qos=offered_less),
         )
 
@@ -177,9 +176,6 @@ class FromTopics(Topics):
                     f"'{entry.ros2}', where the bridge takes {entry.type}: nothing "
                     "comes from it"
                 )
-
-
-_LEAST = {"reliability": {"reliability": "BEST_EFFORT"}}
 
 
 def taking(port: Port, entries: Sequence[BridgeLine]) -> dict[str, Any]:
