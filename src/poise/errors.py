@@ -12,6 +12,7 @@
         CallError       a call through a connector did not bring back a result
           Unavailable   nobody answers at the other end
           Timeout       the answer did not come within the connector's limit
+          CannotCross   an argument or the result is not of its declared type
           CalleeError   the callee raised; its type, message and traceback are here
 """
 

@@ -60,7 +60,12 @@ class Feed:
 
     def room(self) -> int | None:
         """Return for how many messages there is room; None: for all."""
-        return self._inbox.room(self)
+        inbox = self._inbox
+        if inbox.queue.policy == "keep":
+            return None
+        # a paused component takes nothing, and may itself wait for this source
+        waiting = 0 if inbox.is_unbounded else self.waiting
+        return max(0, inbox.queue.size - waiting)
 
 
 class PortQueue:
@@ -80,7 +85,7 @@ class PortQueue:
         self._waiting: deque[tuple[Entry, Feed, float]] = deque()
         self._changing = threading.Lock()
         self._while_paused = 0
-        self._is_unbounded = False
+        self.is_unbounded = False
         self.last_came: float | None = None
 
     def add(self, entry: Entry, feed: Feed) -> None:
@@ -117,18 +122,10 @@ class PortQueue:
         feed.on_room()
         return entry
 
-    def room(self, feed: Feed) -> int | None:
-        """Return for how many more messages of `feed` there is room; None: for all."""
-        if self.queue.policy == "keep":
-            return None
-        # a paused component takes nothing, and may itself wait for this source
-        waiting = 0 if self._is_unbounded else feed.waiting
-        return max(0, self.queue.size - waiting)
-
     def set_unbounded(self, *, unbounded: bool) -> None:
         """Drop nothing and let nobody wait while the component is paused."""
         with self._changing:
-            self._is_unbounded = unbounded
+            self.is_unbounded = unbounded
             self._while_paused = len(self._waiting)
             feeds = {feed for _, feed, _ in self._waiting}
         if unbounded:
@@ -143,7 +140,7 @@ class PortQueue:
     def _is_full(self) -> bool:
         # what came while it was paused has room of its own until it is taken
         return (
-            not self._is_unbounded
+            not self.is_unbounded
             and len(self._waiting) >= self.queue.size + self._while_paused
         )
 
