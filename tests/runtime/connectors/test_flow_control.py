@@ -11,12 +11,13 @@ from poise.runtime.execution.counters import Counts
 from poise.runtime.execution.mailbox import Mailbox, PortQueue
 from poise.wire import frame
 from poise.wire.codec import Codec, WireError
+from poise.wire.connections.connection import Connection
 from poise.wire.frame import Frame, FrameKind, Pieces
 
 NOTHING: Codec[None] = Codec(type(None))
 
 
-class Way:
+class Way(Connection):
     """Brings credit to a source, unless it is cut."""
 
     def __init__(self) -> None:

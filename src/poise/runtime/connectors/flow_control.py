@@ -15,12 +15,12 @@ import logging
 import secrets
 import threading
 from collections.abc import Callable, Mapping
-from typing import Protocol
 
 from poise.runtime.connectors.latest import HEARD, NONE, Number
 from poise.runtime.execution.mailbox import Feed
 from poise.wire import frame
 from poise.wire.codec import Codec, WireError
+from poise.wire.connections.connection import Connection
 from poise.wire.frame import Frame, FrameKind, Pieces
 
 log = logging.getLogger(__name__)
@@ -80,14 +80,6 @@ class Credit:
         return True
 
 
-class Back(Protocol):
-    """The connection over which a source's messages come."""
-
-    def send_back(self, pieces: Pieces, /) -> bool:
-        """Send a frame to the source, or return False at once."""
-        ...
-
-
 class CreditIssuer:
     """The target's side of one connector: counts what came, and gives credit."""
 
@@ -100,7 +92,7 @@ class CreditIssuer:
         self._before = 0
         self._came = 0
         self._issued = 0
-        self._back: Back | None = None
+        self._back: Connection | None = None
         feed.on_room = self._on_room
 
     def came(self, received: Frame) -> None:
@@ -109,7 +101,7 @@ class CreditIssuer:
             self._count(received.chain, received.number - 1)
             self._came = received.number
 
-    def requested(self, received: Frame, back: Back | None) -> None:
+    def requested(self, received: Frame, back: Connection | None) -> None:
         """Give credit to a source that has sent `received.number` messages."""
         with self._lock:
             self._count(received.chain, received.number)
