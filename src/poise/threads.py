@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from threading import get_native_id
 
-from poise.errors import RunError
+from poise.errors import RunError, Timeout
 
 log = logging.getLogger(__name__)
 
@@ -192,6 +192,16 @@ def keep_at(work: Callable[..., object], *args: object) -> None:
         back_off.note_end(now)
         if back_off.again_at > now:
             time.sleep(back_off.again_at - now)
+
+
+def poll_until(
+    holds: Callable[[], bool], deadline: float, late: str, every: float = 0.001
+) -> None:
+    """Wait for what nobody reports; Timeout, which says `late`, at `deadline` [s]."""
+    while not holds():
+        if time.monotonic() > deadline:
+            raise Timeout(late)
+        time.sleep(every)
 
 
 _FIRST_DELAY, LONGEST_DELAY = 0.1, 5.0

@@ -11,7 +11,7 @@ import os
 import signal
 import subprocess
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -23,9 +23,10 @@ from poise.emulate.cpu_load import background_load
 from poise.emulate.emulated_network import NetworkPlan, Shape
 from poise.emulate.emulation import EmulatedComputer
 from poise.emulate.registry import EmulationLayout, FaultKind, InjectedFault, KeptSet
-from poise.errors import RunError, UsageError
+from poise.errors import UsageError
 from poise.kernel_counters import process_stat
 from poise.model.robot import Robot
+from poise.threads import poll_until
 
 BOOT_LIMIT = 10.0
 """A computer's agent is started again within this time [s]."""
@@ -177,7 +178,8 @@ class EmulatedSet:
                 emulated_network.attach(self.layout.network, self._index(computer))
             processes.thaw(running())
         what = f"the agent of '{computer}' did not start within {BOOT_LIMIT:g} s"
-        _wait(lambda: bool(running()), BOOT_LIMIT, what)  # its keeper starts it
+        deadline = time.monotonic() + BOOT_LIMIT  # its keeper starts it
+        poll_until(lambda: bool(running()), deadline, what, _POLL_EVERY)
 
     def load(self, computer: str, cpu: float) -> None:
         """Let a program take `cpu` [host cores] on a computer; 0 ends it."""
@@ -208,7 +210,8 @@ class EmulatedSet:
         if keeper.is_alive():
             os.kill(keeper.pid, signal.SIGTERM)
         what = f"process {keeper.pid} still keeps them {STOP_LIMIT:g} s after SIGTERM"
-        _wait(lambda: not keeper.is_alive(), STOP_LIMIT, what)
+        deadline = time.monotonic() + STOP_LIMIT
+        poll_until(lambda: not keeper.is_alive(), deadline, what, _POLL_EVERY)
 
     def _named(self, computer: str, other: str | None = None) -> tuple[str, ...]:
         on = (computer,) if other is None else (computer, other)
@@ -321,14 +324,6 @@ def _both(on: tuple[str, ...]) -> str:
 def _said(faults: list[InjectedFault]) -> str:
     known = "; ".join(f"{fault}: {fault.way_out}" for fault in faults)
     return f" (in force: {known or 'nothing'})"
-
-
-def _wait(holds: Callable[[], bool], limit: float, what: str) -> None:
-    deadline = time.monotonic() + limit
-    while not holds():
-        if time.monotonic() > deadline:
-            raise RunError(what)
-        time.sleep(_POLL_EVERY)
 
 
 def find_set(robot: str | None = None) -> EmulatedSet:

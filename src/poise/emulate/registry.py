@@ -30,13 +30,13 @@ from poise.emulate.limits import Limits, share_out
 from poise.emulate.processes import PREFIX, Owner, marked, stop
 from poise.errors import PoiseError, RunError, UsageError
 from poise.model.robot import Robot
+from poise.threads import poll_until
 from poise.user_folders import write_whole
 
 FOLDER = "POISE_EMULATIONS"
 """The environment variable that names the registry's folder."""
 _LOCK = "emulations.lock"
 _LOCK_LIMIT = 30.0
-_POLL_EVERY = 0.01
 
 
 def registry() -> Path:
@@ -85,14 +85,11 @@ def locked() -> Iterator[None]:
         message = f"emulated computers cannot be changed: {error}"
         raise RunError(message) from error
     try:
-        deadline = time.monotonic() + _LOCK_LIMIT
-        while not _is_locked(handle):
-            if time.monotonic() > deadline:
-                raise RunError(
-                    "another command has been changing emulated computers for "
-                    f"{_LOCK_LIMIT:g} s: `lsof {file}` names its process"
-                )
-            time.sleep(_POLL_EVERY)
+        late = (
+            "another command has been changing emulated computers for "
+            f"{_LOCK_LIMIT:g} s: `lsof {file}` names its process"
+        )
+        poll_until(lambda: _is_locked(handle), time.monotonic() + _LOCK_LIMIT, late)
         yield
     finally:
         os.close(handle)

@@ -5,12 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import select
-import time
-from collections.abc import Callable, Collection, Iterable
-
-from poise.errors import Timeout
-
-_POLL = 0.001
+from collections.abc import Collection, Iterable
 
 
 class Waker:
@@ -64,11 +59,3 @@ def is_writable(fd: int) -> bool:
     poll = select.poll()
     poll.register(fd, select.POLLOUT)
     return any(event & select.POLLOUT for _, event in poll.poll(0))
-
-
-def poll_until(holds: Callable[[], bool], deadline: float, late: str) -> None:
-    """Wait for what nobody reports; Timeout, which says `late`, at `deadline` [s]."""
-    while not holds():
-        if time.monotonic() > deadline:
-            raise Timeout(late)
-        time.sleep(_POLL)

@@ -51,7 +51,6 @@ from poise.wire.records.request_records import (
 _THREADS = 4
 _MOST_WAITING = 64
 """So many requests wait in a container; further ones are refused."""
-_LOOK_EVERY = 0.005
 _SHORT = 0.01
 """A shorter wait behind other requests is not mentioned [s]."""
 
@@ -181,10 +180,7 @@ class OutsideRequests:
         if (feed := self._feeds.get(key)) is None:
             feed = runner.endpoints.mailbox.feed(port.name, Counts())
             self._feeds[key] = feed
-        while not feed.has_room():
-            if time.monotonic() > until:
-                raise Timeout(f"port '{port.name}' has no room")
-            time.sleep(_LOOK_EVERY)
+        threads.poll_until(feed.has_room, until, f"port '{port.name}' has no room")
         _inside(runner, until, lambda: feed.put(entry))
 
 

@@ -17,7 +17,7 @@ from poise.runtime.hosting.runner import Runner
 from poise.runtime.hosting.wiring import Runners, Wiring
 from poise.runtime.migration.state_transfer import StateReceiver, StateSender
 from poise.runtime.migration.step_taker import StepTaker
-from poise.runtime.waker import poll_until
+from poise.threads import poll_until
 from poise.wire.connections.connection_server import ConnectionServer
 from poise.wire.records.migration_records import MigrationPhases, Role, Step
 

@@ -41,7 +41,7 @@ from poise.runtime.migration.state_check import (
     type_taken_by,
     types_of,
 )
-from poise.runtime.waker import poll_until
+from poise.threads import poll_until
 from poise.wire import frame
 from poise.wire.address import Address
 from poise.wire.codec import Codec, WireError, codec
