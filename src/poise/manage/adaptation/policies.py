@@ -61,13 +61,14 @@ class OwnFunction:
             self._end(str(error), seen.at)
         return self._actions
 
-    def close(self) -> None:
-        """End its process."""
-        if self._process is not None:
-            self._process.kill()
-            self._process.wait()
-            self._connection.close()
-            self._process = None
+    def close(self) -> int | None:
+        """End its process; return its exit code, also of one that ended by itself."""
+        process, self._process = self._process, None
+        if process is None:
+            return None
+        process.kill()
+        self._connection.close()
+        return process.wait()
 
     def _ask(self, seen: Seen) -> None:
         if self._process is None and seen.at >= self._backoff.again_at:
@@ -119,22 +120,15 @@ class OwnFunction:
 
     def _end(self, why: str, now: float) -> None:
         """Kill its process, and start another one later."""
-        process = self._process
         self._actions, self._asked_at = (), None
-        again = self._backoff.start(now)
-        if process is not None:
-            process.kill()
-            code = process.wait()  # one that had ended by itself keeps its own
-            if code == -signal.SIGALRM:
-                limits = f"{LIMIT:g} s, and {IMPORT_LIMIT:g} s for its import"
-                why = f"took too long and was ended: its limit is {limits}"
-            elif code != -signal.SIGKILL:
-                how = f"exit code {code}" if code >= 0 else signal_name(-code)
-                why = f"ended its process with {how}"
-            self._connection.close()
-            self._process = None
-        again_in = f"it is asked again in {again:g} s"
-        self.trouble = f"'{self._reference}' {why}; {again_in}"
+        again, code = self._backoff.start(now), self.close()
+        if code == -signal.SIGALRM:
+            limits = f"{LIMIT:g} s, and {IMPORT_LIMIT:g} s for its import"
+            why = f"took too long and was ended: its limit is {limits}"
+        elif code is not None and code != -signal.SIGKILL:
+            how = f"exit code {code}" if code >= 0 else signal_name(-code)
+            why = f"ended its process with {how}"
+        self.trouble = f"'{self._reference}' {why}; it is asked again in {again:g} s"
 
 
 Key = tuple[str, str, str, str]
