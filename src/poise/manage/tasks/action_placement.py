@@ -251,7 +251,7 @@ class Admission:
         """Return what runs for no action at work, and has alternatives for new ones."""
         functions, at_work = set[str](), set[str]()
         for attempt in due:
-            is_new = attempt.progress.since is None
+            is_new = not attempt.is_at_work
             (functions if is_new else at_work).update(attempt.action.functions)
         return {*chain(*self._serving.exchangeable(functions - at_work))}
 
@@ -278,7 +278,7 @@ class Admission:
         """End the actions that do not fit though no other task runs."""
         now = boot_time()
         for attempt in self._tasks.tries(record):
-            if attempt.progress.since is None:
+            if not attempt.is_at_work:
                 text = f"it does not fit: {why}"
                 if isinstance(retry := attempt.action.on_failure, Retry):
                     attempt.progress.rounds = retry.times  # it would fit no better now

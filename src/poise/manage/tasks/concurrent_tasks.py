@@ -116,9 +116,8 @@ class Tasks:
 
     def find(self, name: str) -> TaskRecord:
         """Return a task that is not over; UsageError when there is none."""
-        running = [r for r in self.records if r.state not in OVER]
-        for record in running:
-            if record.name == name:
+        for record in self.records:
+            if record.name == name and record.state not in OVER:
                 return record
         if name not in self._tasks:
             raise self._no_such(name)
@@ -175,7 +174,7 @@ class Tasks:
     def began(self, number: int, now: float) -> None:
         """Note that an action's functions work."""
         for _, attempt in self._all_tries():
-            if attempt.number == number and attempt.progress.since is None:
+            if attempt.number == number and not attempt.is_at_work:
                 attempt.progress.since = now
                 how = "goes on" if attempt.progress.spent else "begins"
                 self._say(f"{attempt} {how}")
@@ -240,7 +239,7 @@ class Tasks:
                         functions=attempt.action.functions,
                         architectures=serving(attempt),
                         worked=self.worked(attempt, now),
-                        is_at_work=attempt.progress.since is not None,
+                        is_at_work=attempt.is_at_work,
                     )
                     for attempt in self.tries(record)
                 ),
@@ -278,7 +277,7 @@ class Tasks:
         return records
 
     def _is_at_work(self, record: TaskRecord) -> bool:
-        return any(attempt.progress.since is not None for attempt in self.tries(record))
+        return any(attempt.is_at_work for attempt in self.tries(record))
 
     def _clash(
         self, record: TaskRecord, granted: Iterable[Attempt], mine: Iterable[Attempt]

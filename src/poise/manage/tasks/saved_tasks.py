@@ -46,7 +46,7 @@ def _begin_clocks(tasks: Tasks, journal: Journal) -> None:
     now = boot_time()
     for record in tasks.records:
         for attempt in tasks.tries(record):
-            if attempt.progress.since is not None:
+            if attempt.is_at_work:
                 attempt.progress.since = now
                 if attempt.action.limit is not None:
                     journal.note(

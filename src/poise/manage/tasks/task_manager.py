@@ -135,7 +135,7 @@ class TaskManager:
         actions = tuple(  # nothing needs what is done on failure, until one has failed
             replace(attempt.action, on_failure="give up")
             for attempt in self.tasks.tries(record)
-            if not self._has_begun or attempt.progress.since is not None
+            if not self._has_begun or attempt.is_at_work
         )
         used = {function for action in actions for function in action.functions}
         needs = tuple(n for n in self._live.robot.task(record.name).needs if n in used)
@@ -162,7 +162,7 @@ class TaskManager:
         """Idle what no action needs, begin what is due; return whether one ended."""
         wanted = self.tasks.functions_of(self.tasks.going())
         ends = [a for a in self._serving.moving() if a.function not in wanted]
-        new = [each for each in self.tasks.due() if each.progress.since is None]
+        new = [each for each in self.tasks.due() if not each.is_at_work]
         if not ends and not new:
             self._slow.keep({})
             return False
@@ -241,7 +241,7 @@ class TaskManager:
         }
         for attempt in self.tasks.due():
             end, number = attempt.action.ends, attempt.number
-            if end is None or attempt.progress.since is None:
+            if end is None or not attempt.is_at_work:
                 continue
             component = placed.get(end.component)
             if component is not None and number not in component.actions:
@@ -283,7 +283,7 @@ class TaskManager:
         short = " ".join(dict.fromkeys([why.splitlines()[0], why.splitlines()[-1]]))
         for attempt in self.tasks.due() if functions else new:
             if not functions or functions.intersection(attempt.action.functions):
-                how = "begin" if attempt.progress.since is None else "go on"
+                how = "go on" if attempt.is_at_work else "begin"
                 what = f"it cannot {how}: {short}"
                 self.tasks.end(attempt.number, boot_time(), what, done=False)
         self._note_ended(error.component if isinstance(error, DoesNotStart) else "")
@@ -307,7 +307,8 @@ class TaskManager:
 
     def _reported_ends(self) -> list[tuple[Attempt, ActionEnd]]:
         """Return the actions that are at work, and that a component says to end."""
-        turns = [each for each in self.tasks.due() if each.may_be_ended()]
+        due = self.tasks.due()
+        turns = [each for each in due if each.is_at_work and each.action.ends]
         heard, ended = self._component_reports.ends() if turns else {}, []
         for attempt in turns:
             said = heard.get(str(attempt.action.ends))

@@ -61,9 +61,10 @@ class Attempt(Struct, frozen=True, kw_only=True):
         """What tells it apart from all other tries."""
         return self.progress.number
 
-    def may_be_ended(self) -> bool:
-        """Return whether it is at work, and a component says when it ends."""
-        return self.action.ends is not None and self.progress.since is not None
+    @property
+    def is_at_work(self) -> bool:
+        """Whether its functions work."""
+        return self.progress.since is not None
 
 
 class TaskRecord(Struct, kw_only=True):
