@@ -316,19 +316,15 @@ class LiveReader:
             if before.status is None or before.status.manager != status.manager:
                 # its journal may be another file, with numbers of its own
                 self._entries.clear()
+            seen = LiveReading(status=status)
             if status.by_agents:  # the journal is the manager's
                 first = status.deviations[0]
-                trouble, since = first.what, first.since
-                seen = LiveReading(status=status, trouble=trouble, since=since)
-                return self._note(seen)
-            after = self._entries[-1].number if self._entries else 0
-            self._entries.extend(self.running.journal(after))
+                seen = replace(seen, trouble=first.what, since=first.since)
+            else:
+                after = self._entries[-1].number if self._entries else 0
+                self._entries.extend(self.running.journal(after))
         except PoiseError as error:
             since = before.since if before.trouble else wall_time()
-            now = replace(before, trouble=str(error), since=since, is_old=True)
-            return self._note(now)
-        return self._note(LiveReading(status=status))
-
-    def _note(self, seen: LiveReading) -> LiveReading:
+            seen = replace(before, trouble=str(error), since=since, is_old=True)
         self._seen = replace(seen, entries=tuple(self._entries), at=wall_time())
         return self._seen

@@ -277,7 +277,11 @@ class Estimates:
     ) -> Drift | None:
         known = self._followed.get(component.name)
         if known is None:
-            known = self._followed[component.name] = self._follow(component, computer)
+            of = self._profile and self._profile.components.get(component.name)
+            expected = of.cpu.mean if of else None
+            running = RunningEstimate(expected, of.repeat if of else 0.0)
+            known = _Followed(running, expected, component.epoch, computer)
+            self._followed[component.name] = known
         if component.epoch < known.epoch:
             return None  # the incarnation that a move leaves behind
         is_other = component.epoch != known.epoch
@@ -301,12 +305,6 @@ class Estimates:
                 had_cpu_left,
             )
         )
-
-    def _follow(self, component: ComponentSample, computer: str) -> _Followed:
-        known = self._profile and self._profile.components.get(component.name)
-        expected = known.cpu.mean if known else None
-        running = RunningEstimate(expected, known.repeat if known else 0.0)
-        return _Followed(running, expected, component.epoch, computer)
 
     def _forget_ended(self, sample: AgentSample) -> None:
         """Drop the ends on a computer that are not there any more, and what they said.
