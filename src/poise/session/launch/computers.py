@@ -326,13 +326,21 @@ def computers_of(
     *,
     use_kept: bool = False,
 ) -> Iterator[Computers]:
-    """Give the robot's real computers, or emulate all of them on this one."""
+    """Give the robot's real computers, those that are kept, or emulate all here."""
     if not robot.is_emulated:
         yield Computers(real_agents(robot))
         return
     if use_kept and (kept := set_for(robot)) is not None:
-        with _kept(robot, kept, say) as computers:
-            yield computers
+        state = kept.state()
+        say(f"using the emulated computers that process {kept.layout.owner.pid} keeps")
+        for fault in state.faults:
+            say(f"  {fault}")
+        addresses = emulated_addresses(robot.name, kept.computers)
+        try:
+            yield Computers(addresses, state.without, emulated=kept.computers)
+        finally:
+            for computer in kept.computers.values():
+                computer.end_started()
         return
     with emulated_agents(robot, folder, say, sample_every=sample_every) as agents:
         yield Computers(
@@ -341,21 +349,6 @@ def computers_of(
             agents.processes,
             agents.emulation.computers,
         )
-
-
-@contextlib.contextmanager
-def _kept(robot: Robot, kept: EmulatedSet, say: Say) -> Iterator[Computers]:
-    """Use computers that another process keeps, and leave them up."""
-    state, keeper = kept.state(), kept.layout.owner.pid
-    say(f"using the emulated computers that process {keeper} keeps")
-    for fault in state.faults:
-        say(f"  {fault}")
-    try:
-        addresses = emulated_addresses(robot.name, kept.computers)
-        yield Computers(addresses, state.without, emulated=kept.computers)
-    finally:
-        for computer in kept.computers.values():
-            computer.end_started()
 
 
 def real_agents(robot: Robot, *also: Role) -> AgentAddresses:

@@ -13,12 +13,7 @@ from rich.table import Table
 
 from poise.clock import time_of_day
 from poise.manage.control_socket.commands import Rebalanced
-from poise.manage.migration.migration_report import (
-    MigrationReport,
-    Proposal,
-    TransitionReport,
-    WhatIf,
-)
+from poise.manage.migration.migration_report import MigrationReport, Proposal, WhatIf
 from poise.manage.observe.chains import ChainReport
 from poise.manage.tasks.task_reports import OVER, ActionReport, TaskReport
 from poise.units import format_bytes, format_seconds
@@ -249,8 +244,13 @@ def outcome_lines(outcome: Outcome) -> Iterator[str]:
     """Yield what was done, or why it was not."""
     if isinstance(outcome, Rebalanced):
         yield from _proposal_lines(outcome.proposal)
-        if outcome.report is not None:
-            yield _transition_line(outcome.report)
+        report = outcome.report
+        if report is not None and not report.committed:
+            yield f"[red]rolled back:[/] {escape(report.reason)}"
+        elif report is not None:
+            longest = max((move.downtime for move in report.moves), default=0.0)
+            downtime = f"; the longest downtime was {format_seconds(longest)}"
+            yield f"done{downtime if report.moves else ''}"
     else:
         yield escape(outcome_sentence(outcome))
 
@@ -310,11 +310,3 @@ def _proposal_lines(proposal: Proposal) -> Iterator[str]:
     yield f"F = {now.total:.4g} becomes {then.total:.4g}{moves}{known}, by:"
     for step in proposal.steps:
         yield f"  {step}"
-
-
-def _transition_line(report: TransitionReport) -> str:
-    if not report.committed:
-        return f"[red]rolled back:[/] {escape(report.reason)}"
-    longest = max((move.downtime for move in report.moves), default=0.0)
-    downtime = f"; the longest downtime was {format_seconds(longest)}"
-    return f"done{downtime if report.moves else ''}"

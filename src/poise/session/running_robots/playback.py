@@ -152,7 +152,6 @@ def _publish(
     except UsageError as error:
         # a call is recorded with how long it took, and its outcome
         has = said.value.keys() if isinstance(said.value, dict) else set[str]()
-        return (
-            CALLS if "seconds" in has and {"returned", "raised"} & has else str(error)
-        )
+        is_call = "seconds" in has and bool({"returned", "raised"} & has)
+        return CALLS if is_call else str(error)
     return ""
