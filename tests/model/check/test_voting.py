@@ -50,6 +50,11 @@ KEPT = "\n".join(
         ),
         (WITNESSED.replace("computer: right", "computer: router"), "a witness"),
         (WITNESSED.replace("cpu: 10%", "only: [router, left], cpu: 10%"), "a witness"),
+        (
+            WITNESSED + "policies: {p: {for each: component, when: cpu > 1, "
+            "do: move, to: router}}",
+            "'router' is a witness",
+        ),
         (WITNESSED.replace("manager: [left, right]", ""), "no computer may lead"),
         (
             KEPT.replace("manager: [left, right]", "keeps: [lamp]"),
