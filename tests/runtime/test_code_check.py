@@ -25,6 +25,9 @@ class Pose(Message, frozen=True):
 class Poses:
     def pose(self, at: float) -> Pose: ...
 
+class Torn(Message, frozen=True):
+    rest: "Lost"
+
 class Walls:
     def walls(self) -> int: ...
 
@@ -370,6 +373,12 @@ def test_does_not_look_at_the_ports_of_what_has_no_code(check: Check) -> None:
             "",
             (10, 40),
             ["has no class 'Sca'", "'Scan'"],
+        ),
+        (
+            'log: {command: cat, ports: {in: {subscribes: "PACKAGE.nav:Torn"}}}',
+            "",
+            (10, 40),
+            ["the ports of 'log' cannot be read", "NameError", "Lost"],
         ),
         (
             'log: {command: cat, ports: {in: {subscribes: "PACKAGE.nav:Pose"}}}',
