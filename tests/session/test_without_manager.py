@@ -192,7 +192,7 @@ def test_the_next_manager_takes_it_over_though_its_agents_cannot_be_noted(
     file: Path,
 ) -> None:
     before = kill_manager()
-    draft = folder() / f"{NAME}.draft"
+    draft = folder() / f"{NAME}.new"
     draft.mkdir()  # no process may write a file there, not even one of root
     try:
         up(file)

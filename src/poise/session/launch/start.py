@@ -130,7 +130,20 @@ def world_of(
     if robot.simulator is None:
         yield None
         return
-    process = _start(robot.simulator.command, robot.folder, folder)
+    command = robot.simulator.command
+    try:
+        process = subprocess.Popen(  # noqa: S603, the robot file's own command
+            runnable(command, robot.folder or "."),
+            cwd=robot.folder or None,
+            env={**os.environ, "POISE_RUN": str(folder)},
+            stdin=subprocess.PIPE,  # its end tells the world that we are gone
+            stdout=subprocess.PIPE,
+            start_new_session=True,
+            # safe beside other threads: it takes no lock that one of them may hold
+            preexec_fn=die_with_parent,  # noqa: PLW1509
+        )
+    except OSError as error:
+        raise RobotError(f"simulator '{command[0]}' cannot start: {error}") from error
     _go_first(process.pid)
     world = SimulatorProcess(process)
     try:
@@ -150,24 +163,6 @@ def _go_first(process: int) -> None:
         os.setpriority(os.PRIO_PROCESS, process, _NICE)
     with contextlib.suppress(OSError):
         Path("/proc", str(process), "autogroup").write_text(str(_NICE))
-
-
-def _start(
-    command: tuple[str, ...], robot_folder: str, folder: Path
-) -> subprocess.Popen[bytes]:
-    try:
-        return subprocess.Popen(  # noqa: S603, the robot file's own command
-            runnable(command, robot_folder or "."),
-            cwd=robot_folder or None,
-            env={**os.environ, "POISE_RUN": str(folder)},
-            stdin=subprocess.PIPE,  # its end tells the world that we are gone
-            stdout=subprocess.PIPE,
-            start_new_session=True,
-            # safe beside other threads: it takes no lock that one of them may hold
-            preexec_fn=die_with_parent,  # noqa: PLW1509
-        )
-    except OSError as error:
-        raise RobotError(f"simulator '{command[0]}' cannot start: {error}") from error
 
 
 _STEP = 0.2

@@ -275,14 +275,10 @@ def _worst(report: RunReport, entries: Mapping[int, JournalEntry]) -> Iterator[s
         moments = [m for m in report.history if late.name in m.missed]
         worst = max(moments, key=lambda m: m.missed[late.name], default=None)
         around = _around(late.name, worst, entries, report.began) if worst else ""
-        rows.append(
-            (
-                escape(f"{late.name}, {late.where}"),
-                f"{late.missed} of {late.times} ({late.share:.1%})",
-                f"{format_seconds(late.p99)} of {format_seconds(late.deadline)}",
-                around,
-            )
-        )
+        where = escape(f"{late.name}, {late.where}")
+        share = f"{late.missed} of {late.times} ({late.share:.1%})"
+        p99 = f"{format_seconds(late.p99)} of {format_seconds(late.deadline)}"
+        rows.append((where, share, p99, around))
     head = "timer or chain, computer", "missed", "p99, deadline", "at its worst"
     yield html_table(head, rows)
     if more := missed[_MOST_DEADLINES:]:
