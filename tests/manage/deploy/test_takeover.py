@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 from typing import Any, cast
 
@@ -23,7 +23,7 @@ from poise.manage.migration.move import plan_replacement
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.sample_recording import Recording
 from poise.manage.tasks.task_progress import Saved
-from poise.model.robot import Architecture, ComponentEntry, Robot
+from poise.model.robot import Architecture, ComponentEntry, Computer, Robot
 from poise.testing import VirtualClock
 from poise.wire.records.deployment_records import Deployment
 from poise.wire.records.migration_records import (
@@ -322,6 +322,30 @@ def test_a_standby_remembers_what_had_begun_for_an_action_that_did_not(
     start_or_take_over(run, follows=True)
     assert "thinker" not in run.placed
     assert begun.key in {each.key for each in run.desired.left_behind}
+
+
+def test_leases_that_a_standby_waits_for_have_ended_at_the_same_time(
+    robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One that is heard anew while others' leases last may have its own again."""
+    clock, third = VirtualClock(), Computer(name="third", capacity={"cpu": 1.0})
+    lasts = {"left": (0.1, 0.5), "right": (0.0, 0.3)}
+
+    def have_leases_ended(computers: Collection[str]) -> bool:
+        now = clock.now() - began
+        return not any(lasts[c][0] <= now < lasts[c][1] for c in computers)
+
+    began = clock.now()
+    agents = FakeAgents("left", "right", "third")
+    record = Desired(placed={"thinker": LEFT[1]}, generation=6)
+    agents.vote(Deployment(generation=6, containers=(), desired=encode(record)))
+    agents.gone = {"left", "right"}
+    monkeypatch.setattr(agents, "have_leases_ended", have_leases_ended)
+    robot = structs.replace(robot, computers=(*robot.computers, third))
+    journal = Journal(":memory:")
+    run = LiveRobot(robot, {}, cast("Agents", agents), journal, "/run", clock=clock)
+    start_or_take_over(run, follows=True)
+    assert clock.now() - began == pytest.approx(0.5, abs=0.1)
 
 
 def test_a_standby_that_does_not_know_of_a_stop_finishes_it(robot: Robot) -> None:

@@ -244,11 +244,13 @@ def _way_out_of(error: RunError) -> str:
 
 
 def _may_hold_leases(live: LiveRobot, away: Collection[str]) -> list[str]:
-    """Wait until the leases of computers have ended; return those that may have one."""
-    left, until = sorted(away), live.clock.now() + LEASES_END_WITHIN
-    while left := [
-        n for n in left if not live.agents.heartbeats.have_leases_ended({n})
-    ]:
+    """Wait until the leases of computers have ended; return those that may have one.
+
+    All at the same time: what is heard anew meanwhile may have a lease again.
+    """
+    have_ended = live.agents.heartbeats.have_leases_ended
+    until = live.clock.now() + LEASES_END_WITHIN
+    while left := [name for name in sorted(away) if not have_ended({name})]:
         if live.clock.now() >= until:
             break
         live.clock.sleep(_LOOK_EVERY)
