@@ -7,6 +7,7 @@ import logging
 import os
 from collections.abc import Callable
 from pathlib import Path
+from threading import Thread
 
 import pytest
 
@@ -20,7 +21,7 @@ from poise.manage.journal import (
     check_journal,
     read_journal,
 )
-from tests.waiting import wait_until
+from tests.waiting import LIMIT, wait_until
 
 
 def whats(path: Path) -> list[str]:
@@ -73,6 +74,20 @@ def test_it_can_be_read_while_it_is_written(tmp_path: Path) -> None:
     wait_until(lambda: journal.file and not journal.file._waiting)
     assert whats(tmp_path / "journal.jsonl") == ["something"]
     journal.close()
+
+
+def test_who_asks_does_not_wait_for_who_is_shown_an_entry() -> None:
+    """A terminal that takes nothing holds up no status."""
+    asked: list[int] = []
+
+    def show(_: JournalEntry) -> None:
+        asker = Thread(target=lambda: asked.append(len(journal.recent())), daemon=True)
+        asker.start()
+        asker.join(LIMIT)
+
+    journal = Journal(":memory:", show)
+    journal.note("seen", "a component")
+    assert asked == [1]
 
 
 def test_memory_holds_the_last_entries_only() -> None:

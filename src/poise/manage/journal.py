@@ -144,8 +144,7 @@ class Journal:
 
         At most `MOST_KEPT`, and the last `most` of those with numbers above `after`.
         """
-        with self._lock:
-            kept = list(self._kept)
+        kept = list(self._kept.copy())  # without the lock: `show` may be slow
         last = kept[max(0, len(kept) - most) :]
         return [entry for entry in map(_decode, last) if entry.number > after]
 
