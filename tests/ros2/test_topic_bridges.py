@@ -24,7 +24,7 @@ class Taking:
         self.bridge.__dict__ |= {"port": SimpleNamespace(name="said"), "said": port}
         self.bridge.node = SimpleNamespace(create_subscription=self._created)
         line = BridgeLine(ros2="/said", type="std_msgs/msg/String")
-        self.bridge._subscribe(line, lambda message: message, {})
+        self.bridge._subscribe(line, lambda message: message)
 
     def _created(self, kind: Any, topic: str, take: Any, *_: Any, **__: Any) -> None:
         del kind, topic
