@@ -22,6 +22,7 @@ from poise.manage.deploy.reconciler import JoiningComputer, Reconciler
 from poise.manage.journal import Journal
 from poise.manage.observe.deviations import Deviation, last_numbers
 from poise.manage.observe.troubles import ManagerParts
+from poise.manage.tasks.task_reports import Switches
 from poise.model.check.allowed_computers import allowed_computers
 from poise.model.robot import Robot
 from poise.wire.records.deployment_records import Deployment
@@ -50,6 +51,7 @@ class DesiredState:
         )
         self.clock = clock or SystemClock()
         self.faults_before = last_numbers(agents.statuses())
+        self.switches = Switches()
         self.check: Callable[[], object] = lambda: None
         """Called at all news while agents are waited for; may raise to end that."""
         self.is_over = threading.Event()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from functools import cached_property
 
 from msgspec import structs
 
@@ -26,7 +25,6 @@ from poise.manage.observe.deviations import (
     faults_after,
     last_numbers,
 )
-from poise.manage.tasks.task_reports import Switches
 from poise.units import counted
 from poise.wire.heartbeats import LEASES_END_WITHIN
 from poise.wire.records.deployment_records import Goal
@@ -78,11 +76,6 @@ class LiveRobot(DesiredState):
     """Whether a lost computer is a deviation; else it ends what waits."""
     _away_since: Mapping[str, float] = {}
     _faults_before_commit: Mapping[str, int] = {}
-
-    @cached_property
-    def switches(self) -> Switches:
-        """How the actions of tasks were switched."""
-        return Switches()
 
     def commit(self, desired: Desired, why: str, *, tell_later: bool = False) -> None:
         """Let something else run from now on; faults after that explain a wait."""
@@ -455,7 +448,10 @@ class LiveRobot(DesiredState):
                 raise DoesNotStart(incarnation.component, "; ".join(combined(same)))
 
     def raise_on_lost(self, patience: float = 0.0) -> None:
-        """Raise RunError when one is away for `patience` [s], while all are needed."""
+        """Raise RunError when a computer is out of reach for `patience` [s] or more.
+
+        Unless it goes on without. What is out of reach is in the journal at once.
+        """
         if self.goes_on_without_lost:
             return
         now, before, sentences = self.clock.now(), self._away_since, self.unreached()
