@@ -67,7 +67,10 @@ class BackgroundWriter(Generic[T]):
             self._changed.notify_all()
 
     def write(self, records: Sequence[T]) -> None:
-        """Write records, on its thread; note how many are, or it is tried again."""
+        """Write records, on its thread, and note how many.
+
+        OSError or RunError: not all; what is not noted is written again later.
+        """
         raise NotImplementedError
 
     def end(self) -> None:

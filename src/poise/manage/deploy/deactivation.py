@@ -19,7 +19,9 @@ from poise.wire.records.status_records import ENDING_LIMIT
 
 
 def levels(names: Collection[str], leads: Iterable[tuple[str, str]]) -> list[list[str]]:
-    """Return `names`, each before all to which it leads; in one level: to each other.
+    """Return `names`, each before all to which it leads.
+
+    Those that lead to each other are in one level.
 
     `leads`: pairs of which the first leads to the second; also over others.
     """
@@ -81,7 +83,9 @@ def drain(
 ) -> None:
     """Deactivate all components, each when it has processed what was sent to it.
 
-    A handler that does not end, and a message that does not arrive, are not waited for.
+    Afterwards the agents' statuses hold the final counts. A handler that does not end,
+    and a message that does not arrive, are not waited for any longer.
+
     `unprocessed`: connector -> messages sent over it that wait or are under way.
     """
     connectors = live.layout.connectors(live.placed)

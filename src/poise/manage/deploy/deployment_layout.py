@@ -254,7 +254,10 @@ class DeploymentLayout:
         )
 
     def _code_of(self, component: ComponentEntry, implementation: str) -> str:
-        """Return the version of its code that this manager read first, and imports."""
+        """Return the version of its code when this manager first read that.
+
+        A container imports each module once: what is edited later may not run.
+        """
         key = component.name, implementation
         if key not in self._code:
             self._code[key] = self._present_code(component, implementation)

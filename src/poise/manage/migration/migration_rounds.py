@@ -203,7 +203,11 @@ class MigrationRounds:
         return found.values()
 
     def _levels(self) -> list[list[str]]:
-        """Return the sources as they pause: callers first, or replaced, all senders."""
+        """Return the sources in the order in which they pause.
+
+        A caller pauses before its callee, and in a replacement a publisher before its
+        subscribers.
+        """
         leads = (
             (source.component, target.component)
             for source, target in (connector.between for connector in self._before)
