@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from functools import partial
 from itertools import groupby, islice, product
+from math import inf
 from operator import attrgetter
 
 from msgspec import structs
@@ -339,7 +340,7 @@ class ResumeSuspended:
         self._backoff = Backoff(_TRY_AGAIN, LONGEST)
         self._lost: frozenset[str] = frozenset()
         self._doubtful: frozenset[str] = frozenset()
-        self._wrong_at: float | None = None
+        self._calm_since = inf
 
     def respond(self, situation: Situation, _desired: Desired) -> Change | None:
         """Return what starts, when nothing has been wrong for a while."""
@@ -347,9 +348,9 @@ class ResumeSuspended:
         if situation.lost != self._lost:
             self._lost = situation.lost
             self._backoff.reset()
-        if situation.about("replan") or self._wrong_at is None:
-            self._wrong_at = now
-        if now - self._wrong_at < CALM:
+        is_wrong = bool(situation.about("replan"))
+        self._calm_since = inf if is_wrong else min(self._calm_since, now)
+        if now - self._calm_since < CALM:
             return None
         due = self._suspensions.due(now)
         if not due:
