@@ -3,7 +3,7 @@
 `words.toml` says which, what to say instead, and what is excepted for which reason.
 A *name* is what Python code calls a thing; a *phrase* is text of any tracked file:
 documents, messages, docstrings, comments. A *message* is a string of the code of
-`src`, but no docstring.
+`src`, but no docstring. A file's name stands once in `src`: it says what it holds.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import re
 import subprocess
 import sys
 import tomllib
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -112,10 +113,23 @@ def problems(words: Mapping[str, Any], files: Sequence[str]) -> Iterator[str]:
                 yield f"{file}:{line}: {word!r}: say {instead}"
 
 
+def repeated_names(files: Sequence[str]) -> Iterator[str]:
+    """Yield a sentence for each name that several modules have."""
+    modules = [
+        file for file in files if file.startswith("src/") and file.endswith(".py")
+    ]
+    counts = Counter(Path(file).name for file in modules)
+    for file in modules:
+        name = Path(file).name
+        if counts[name] > 1 and name != "__init__.py":
+            yield f"{file}: another file has this name, too"
+
+
 def main() -> None:
     """Print all that is wrong; exit with 1 if anything is."""
     words = tomllib.loads((ROOT / ".ci/words.toml").read_text(encoding="utf-8"))
-    found = list(problems(words, tracked(words["folders"], words["endings"])))
+    files = tracked(words["folders"], words["endings"])
+    found = [*problems(words, files), *repeated_names(files)]
     print("\n".join(found) or "words: no problems")
     sys.exit(bool(found))
 

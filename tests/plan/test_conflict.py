@@ -12,10 +12,10 @@ from poise import plan
 from poise.model.robot import Computer, Link
 from poise.plan import Edge, Item, Problem
 from poise.plan.conflict import _at_least
-from poise.plan.limits import limits_of, relaxed
-from poise.plan.limits import usual as usual_of
 from poise.plan.problem.arrays import arrays_of
 from poise.plan.problem.items import Run, TimeLimit
+from poise.plan.problem_limits import limits_of, relaxed
+from poise.plan.problem_limits import usual as usual_of
 from poise.plan.violations import violations
 from tests.plan.plan_problems import least, problems, small_robot
 

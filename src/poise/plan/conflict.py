@@ -11,7 +11,10 @@ from msgspec.structs import replace
 from poise.model.hardware import fits
 from poise.model.robot import Objective
 from poise.plan._core import Core
-from poise.plan.limits import (
+from poise.plan.problem.arrays import Arrays, arrays_of
+from poise.plan.problem.changed_problem import keep_components
+from poise.plan.problem.problem import Problem
+from poise.plan.problem_limits import (
     Limit,
     Raises,
     in_words,
@@ -23,9 +26,6 @@ from poise.plan.limits import (
     softened,
     usual,
 )
-from poise.plan.problem.arrays import Arrays, arrays_of
-from poise.plan.problem.changed_problem import keep_components
-from poise.plan.problem.problem import Problem
 from poise.plan.result_records import Ask, Conflict
 from poise.plan.violations import Late, amount_of, late, named
 
