@@ -111,10 +111,11 @@ def test_a_call_that_is_started_takes_nothing_of_its_starters_cpu(
     compute()
     answer = started.start(call)
     time.sleep(LONG / 4)
+    beside = time.monotonic() - began.at  # the sleep is longer on a busy machine
     answer.result()
     times.end("ask", began)
     assert times.cpu()["ask"].maximum == pytest.approx(CPU, rel=0.2)
-    assert times.waits()["ask"].maximum == pytest.approx(LONG / 4, rel=0.5)
+    assert 0.9 * LONG / 4 < times.waits()["ask"].maximum < beside
 
 
 def test_each_handler_counts_for_itself(times: HandlerTimes) -> None:
