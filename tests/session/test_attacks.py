@@ -30,7 +30,7 @@ from poise.wire.control_session import open_session
 from poise.wire.credentials import Credentials
 from poise.wire.heartbeats import UdpDatagrams
 from poise.wire.records.heartbeat_records import Heartbeat
-from poise.wire.refusal import why_refused
+from poise.wire.refusal import why_all_refused
 from poise.wire.robots_here import AgentAddresses
 from tests.runtime.conftest import free_port
 from tests.waiting import LIMIT, wait_until
@@ -333,6 +333,10 @@ def test_an_agent_off_loopback_wants_keys(tmp_path: Path) -> None:
     assert done.returncode == 2
     assert "there are no keys for robot 'guarded'" in done.stderr
     assert "poise keys issue" in done.stderr
+
+
+def why_refused(agent: Endpoint, keys: Credentials | None) -> str:
+    return why_all_refused({"": agent}, keys)[""]
 
 
 def test_who_is_refused_is_told_why(guarded: Guarded, tmp_path: Path) -> None:

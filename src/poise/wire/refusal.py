@@ -26,11 +26,6 @@ _STRANGE = b"\x01\x00\x00"
 """A frame of zenoh with nothing in it, which is no TLS record."""
 
 
-def why_refused(agent: Endpoint, keys: Credentials | None) -> str:
-    """Return why an agent does not let in who has these keys; empty: unknown."""
-    return why_all_refused({"": agent}, keys)[""]
-
-
 def why_all_refused(
     agents: Mapping[str, Endpoint],
     keys: Credentials | None,
