@@ -15,6 +15,7 @@ from poise.manage.adaptation.policies import Policies
 from poise.manage.adaptation.policy_values import values_of
 from poise.manage.adaptation.situation import Situation
 from poise.manage.adaptation.when_to_act import MoveLimits
+from poise.manage.observe.estimates import Load
 from poise.model.policy import LinkValues, policies_of
 from poise.model.robot import Computer, Connector, ConnectorEnd, Link, Robot
 from poise.wire.records.heartbeat_records import LinkQuality
@@ -133,6 +134,15 @@ def test_nothing_moves_when_there_is_no_way_round_a_cut_link(
     assert found.why.startswith(
         "it stays as it is: link 'left-right' is cut, and 'a.out-b.in' crosses it; "
     )
+
+
+def test_what_changes_nothing_gains_nothing(situation: Make, two: Robot) -> None:
+    """The CPU that is short and the work in vain are no sum that rounds."""
+    alone = over(situation, joined(two, third=False), quality(silent=1.0))
+    busy = {"left": Load(capacity=0.5, used=0.5, background=0.4)}
+    found = decide(replace(alone, loads={**alone.loads, **busy}))
+    assert found.undone > 0.2 + 0.2
+    assert found.gain == 0.0
 
 
 @pytest.mark.parametrize(

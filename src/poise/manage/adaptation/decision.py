@@ -100,9 +100,10 @@ def decide(
         why = f"no placement can help: {causes}{late(situation)}{error}"
         undone = _undone_now(situation, price) + in_vain
         return Decision(acts=False, why=why, undone=undone)
-    undone = _undone(proposal.now, price) + in_vain
-    then_in_vain = wasted(situation, proposal.placement, bad)
-    gain = undone - _undone(proposal.then, price) - then_in_vain
+    now, then = _undone(proposal.now, price), _undone(proposal.then, price)
+    undone = now + in_vain
+    # differences first: what changes nothing gains 0
+    gain = now - then + (in_vain - wasted(situation, proposal.placement, bad))
     cost = sum(costs[step.component] for step in proposal.steps)
     acts = bool(proposal.steps) and gain > _LEAST and gain * horizon > doubt * cost
     why = f"{causes}{_change(proposal, gain, cost)}"
