@@ -3,10 +3,11 @@
 A target whose queue blocks sends *credit*: how many messages the source may have sent
 in all, since the route began (its number is random, so a restarted end differs). As
 a total it may be lost, doubled or late. A source without credit *requests* it in the
-stream of its messages: what it sent before has arrived by then, or never will. So each
-connection begins with a request. Credit goes back once half of the queue is empty: one
-frame for many messages. A queue that keeps the last messages gives it without bound.
-Credit also says which numbered message came last (`latest`).
+stream of its messages: what it sent before has arrived by then, or never will. Each
+connection begins with a request, so that lost messages are counted at once. Credit goes
+back once half of the queue is empty: one frame for many messages. A queue that keeps
+the last messages gives it without bound. It also says which numbered message came last
+(`latest`).
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """The lease of a container's components, which fence themselves when it ends.
 
-A leased component reads its end before each handler, and before what leaves or enters.
+The agent writes its end into the stats page. A leased component reads that before each
+handler, and before what leaves or enters its container.
 """
 
 from __future__ import annotations

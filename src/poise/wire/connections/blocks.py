@@ -4,7 +4,8 @@ Arrays are copied into a block, or lie there from the start (`loan`); the receiv
 read-only views. The first page has a byte, a *slot*, for each connection and the loan:
 the sender sets it, the receiver clears it when the last array is gone; a third value
 says that the block is being filled (``native/filling.h``). A block whose slots are
-clear is used again; one still lent when its connection ends is given up.
+clear is used again; one still lent when its connection ends is given up. It has no name
+in the file system, so the kernel frees what a crash leaves behind.
 """
 
 from __future__ import annotations

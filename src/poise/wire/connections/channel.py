@@ -1,8 +1,9 @@
 """The sending end of a connector: connections to the container where it ends.
 
-A call has a connection to itself until its answer is there, which the calling thread
-reads. Messages use one connection, which keeps their order, and on which credit comes
-back. A receiver takes all that came over it before what comes over the next one.
+A call has a connection to itself until its answer is there. The calling thread reads
+that, so no thread wakes another. Messages use one connection, which keeps their order,
+and on which credit comes back. A receiver takes all that came over it before what comes
+over the one that replaces it.
 """
 
 from __future__ import annotations

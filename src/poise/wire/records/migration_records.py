@@ -1,6 +1,6 @@
 """What manager and containers tell each other while components move.
 
-A component leaves its *source* for its *target*. Why so: docs/design/moves.md.
+A component leaves its *source* for its *target*, by the steps of docs/design/moves.md.
 """
 
 from __future__ import annotations
