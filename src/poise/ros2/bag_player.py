@@ -24,9 +24,11 @@ _NANO = 1_000_000_000
 class BagPlayer(Replay):
     """Publishes the ``topics`` of a ``bag``, again and again, beside its ports."""
 
+    def __init__(self) -> None:
+        self._closing = ExitStack()
+
     def configure(self) -> None:
         """Make a publisher for each topic."""
-        self._closing = ExitStack()
         super().configure()
         bag = Bag(Path(self.parameters["bag"]))
         ros_context.join(self.parameters["environment"])

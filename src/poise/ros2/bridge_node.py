@@ -52,9 +52,11 @@ class BridgeNode(Component):
         """Return what converts the values of each entry; RobotError: they misfit."""
         raise NotImplementedError
 
+    def __init__(self) -> None:
+        self.closing = ExitStack()
+
     def configure(self) -> None:
         """Make a node of its own."""
-        self.closing = ExitStack()
         ros_context.join(self.parameters["environment"])
         self.closing.callback(ros_context.leave)
         self.node = ros_context.node_of(re.sub(r"\W", "_", f"poise_{self.name}"))

@@ -47,9 +47,11 @@ class RosNode(Component):
             own |= _handing_over(code)
         return type(cls.__name__, (cls,), own)
 
+    def __init__(self) -> None:
+        self._closing = ExitStack()
+
     def configure(self) -> None:
         """Make the node; a lifecycle node is configured."""
-        self._closing = ExitStack()
         start = self.parameters[START]
         ros_context.join(start["environment"])
         self._closing.callback(ros_context.leave)
