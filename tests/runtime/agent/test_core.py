@@ -200,6 +200,7 @@ class World:
         self.host, self.adoption, self.disk = Host(), Adopted(), Disk()
         self.adoption.is_waiting = transport is not None  # something was left
         self.statuses: list[AgentStatus] = []
+        self.while_publishing: Callable[[], object] = lambda: None
         self.said: list[str] = []
         self.appeared_at: list[float] = []
         surroundings = Surroundings(
@@ -208,7 +209,7 @@ class World:
             asleep=lambda: self.asleep,
             random=Random(1),
             say=self.said.append,
-            publish=self.statuses.append,
+            publish=self._publish,
             appear=self._appear,
             wake=lambda: None,
             host=self.host,
@@ -235,6 +236,10 @@ class World:
             return None
         self.transports.append(transport(hear, next_beat))
         return self.transports[0]
+
+    def _publish(self, status: AgentStatus) -> None:
+        self.statuses.append(status)
+        self.while_publishing()
 
     def _appear(self) -> None:
         self.appeared_at.append(self.clock.now())
@@ -568,6 +573,23 @@ def test_a_manager_that_may_be_only_cut_off_is_not_succeeded_without_a_pause(
     answer = world.ask(Claim(structs.replace(MANAGER, key="later")), 2)
     assert world.core.fence.is_cut_off is not ended
     assert answer == Claimed(is_cut_off=not ended)
+
+
+def test_a_manager_that_arrives_while_a_status_goes_out_gets_another_one() -> None:
+    """Of the one that is under way it may hear nothing."""
+    world = World()
+    world.run(0.1)
+    told = len(world.statuses)
+
+    arrive = partial(
+        world.core.fence.note_liveliness, "k", is_there=True, has_ended=False
+    )
+    world.while_publishing = arrive
+    arrive()
+    world.core.tick()
+    world.while_publishing = lambda: None
+    world.core.tick()
+    assert len(world.statuses) == told + 2
 
 
 def test_where_no_container_was_left_nothing_leased_runs_before_it_is_told() -> None:

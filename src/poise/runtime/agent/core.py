@@ -123,7 +123,7 @@ class AgentCore:
             self.heartbeats.note_lapsed()
         self.standby = StandbyWatch(setup.computer, self.heartbeats, self.fence, world)
         self._last = self._status()
-        self._published = 0, self._last.states, self._last.missed
+        self._published = (0, self._last.states), self._last.missed
         self._published_at = self._report_at = 0.0
         self._parts = self._table()
 
@@ -372,14 +372,14 @@ class AgentCore:
 
     def _publish(self, status: AgentStatus) -> None:
         """Publish a status if it says something new, or if it is due."""
-        now, (arrivals, states, missed) = self._clock.now(), self._published
-        due = self._report_at
+        now, due, (known, missed) = self._clock.now(), self._report_at, self._published
         if status.missed != missed:
             due = min(due, self._published_at + _MISSES_EVERY)
-        is_new = (self.fence.arrivals, status.states) != (arrivals, states)
-        if is_new or now >= due:
+        # a manager that arrives from here on gets another one
+        news = self.fence.arrivals, status.states
+        if news != known or now >= due:
             self._world.publish(status)
-            self._published = self.fence.arrivals, status.states, status.missed
+            self._published = news, status.missed
             self._published_at, due = now, now + REPORT_EVERY
         self._report_at = due
 
