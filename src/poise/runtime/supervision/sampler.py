@@ -107,22 +107,23 @@ class Sampler:
     def sample(self, now: float) -> bytes:
         """Return what is counted at `now` [s], encoded."""
         containers = self._containers()
+        reads = [(name, pid, page.read()) for name, pid, page in containers]
+        own, busy = time.process_time(), self._computer_cpu.read()
         is_look = now >= self._look_at
+        # not before what belongs to that moment: it takes a while
         self._read_memory(containers, now, is_look=is_look)
         samples = []
-        for name, pid, page in containers:
-            read = page.read()
+        for name, pid, read in reads:
             if read is not None:
                 at, cpu, components, connectors = read
                 memory = self._memory[pid].proportional
                 samples.append((name, pid, at, cpu, memory, components, connectors))
-        own = time.process_time()
         if is_look:
             used = {name: (pid, cpu) for name, pid, _, cpu, *_ in samples}
             self._note_usage(now, {_AGENT: (os.getpid(), own), **used})
             self._look_at, self._looked_at = now + READ_EVERY, now
         # an `AgentSample`, whose records are arrays
-        sample = (self._computer, now, own, samples, self._computer_cpu.read())
+        sample = (self._computer, now, own, samples, busy)
         return self._encoder.encode(sample)
 
     def _read_memory(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 import threading
+import time
 
 import msgspec
 import pytest
@@ -94,6 +95,24 @@ def test_reads_the_memory_of_processes() -> None:
     assert proportional_memory(1 << 30) == 0
     assert resident_memory(os.getpid()) >= proportional_memory(os.getpid())
     assert resident_memory(1 << 30) == 0
+
+
+def test_memory_is_read_after_what_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It takes a while, and what is counted is of the moment that the sample tells."""
+    read_at = list[float]()
+
+    def read(_: int) -> int:
+        read_at.append(time.monotonic())
+        return 1
+
+    monkeypatch.setattr("poise.runtime.supervision.sampler.private_memory", read)
+    memory, counters = new_memory(), ComponentCounters()
+    counters.enter(_calls.StatsPage(memory), "eye", 0)
+    here = [("see", os.getpid(), PageSampler(memory, os.getpid()))]
+    sampler = Sampler("a", 0, lambda: here, ignore, ignore)
+    sample = decoded(sampler.sample(time.monotonic()))
+    assert sample.at <= sample.containers[0].at <= read_at[0]
+    os.close(memory)
 
 
 def test_memory_is_weighed_again_when_there_is_more_or_less_of_it(
