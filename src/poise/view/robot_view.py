@@ -180,8 +180,8 @@ def _connectors(before: Status, now: Status) -> Iterator[ConnectorRow]:
     """Yield each connector as its source counts it, and what both ends gave up."""
     unknown = now.not_known()
     ends: dict[str, list[tuple[bool, ConnectorStatus, ConnectorStatus, _Span]]] = {}
-    of = _since(before, now, lambda c: c.connectors, lambda end: (end.name, end.end))
-    for computer, end, was, seconds in of:
+    seen = _since(before, now, lambda c: c.connectors, lambda end: (end.name, end.end))
+    for computer, end, was, seconds in seen:
         is_known = computer not in unknown
         ends.setdefault(end.name, []).append((is_known, end, was, seconds))
     for name, both in sorted(ends.items()):

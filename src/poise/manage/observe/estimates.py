@@ -277,9 +277,9 @@ class Estimates:
     ) -> Drift | None:
         known = self._followed.get(component.name)
         if known is None:
-            of = self._profile and self._profile.components.get(component.name)
-            expected = of.cpu.mean if of else None
-            running = RunningEstimate(expected, of.repeat if of else 0.0)
+            profiled = self._profile and self._profile.components.get(component.name)
+            expected = profiled.cpu.mean if profiled else None
+            running = RunningEstimate(expected, profiled.repeat if profiled else 0.0)
             known = _Followed(running, expected, component.epoch, computer)
             self._followed[component.name] = known
         if component.epoch < known.epoch:
