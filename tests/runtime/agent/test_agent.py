@@ -22,7 +22,8 @@ import pytest
 import zenoh
 from msgspec import structs
 
-from poise.runtime.agent.surroundings import BROKEN
+from poise.decoding import from_msgpack
+from poise.runtime.agent.surroundings import BROKEN, AgentState
 from poise.runtime.waker import wait_readable
 from poise.wire.address import agent_path
 from poise.wire.codec import pack
@@ -276,6 +277,19 @@ class Manager:
         )
         assert status.took_over
         return next(each for each in status.containers if each.name == name)
+
+    def wait_kept(self) -> None:
+        """Wait until the agent has written down what was deployed last, if anything."""
+
+        def is_kept() -> bool:
+            state = AgentState()
+            with contextlib.suppress(FileNotFoundError):
+                state = from_msgpack((self.folder / "state").read_bytes(), AgentState)
+            wanted = state.wanted
+            return wanted is not None and wanted.generation >= self._generation
+
+        if self._generation:
+            wait_until(is_kept)
 
     def forget_faults(self) -> None:
         """Let `faults` give only those that follow."""

@@ -42,6 +42,7 @@ def manager() -> Iterator[Manager]:
 
 
 def kill_agent(manager: Manager) -> None:
+    manager.wait_kept()  # containers run before the disk has it
     manager.process.kill()
     manager.process.wait()
     assert manager.process.stderr
@@ -60,6 +61,7 @@ def test_the_next_agent_adopts_what_a_killed_one_left(
     manager.deploy("quiet", "calm")
     pids = {name: manager.wait_active(name).pid for name in ("quiet", "calm")}
     if not with_zygote:
+        manager.wait_kept()
         (zygote,) = children_of(manager.process.pid)
         os.kill(manager.process.pid, signal.SIGSTOP)  # else it ends by itself
         os.kill(zygote, signal.SIGKILL)
