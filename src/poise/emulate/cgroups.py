@@ -252,9 +252,11 @@ class V2(Groups):
         """Enable the controllers for the future groups."""
         control = self._base / "cgroup.subtree_control"
         missing = self.controls - set(control.read_text().split())
-        for tries_left in reversed(range(_TRIES + 1 if missing else 0)):
+        if not missing:
+            return
+        for tries_left in reversed(range(_TRIES + 1)):
             try:
-                self.write(control, " ".join(f"+{name}" for name in sorted(missing)))
+                self.write(control, " ".join(f"+{each}" for each in sorted(missing)))
             except OSError as error:
                 if error.errno != errno.EBUSY or not tries_left:
                     raise
