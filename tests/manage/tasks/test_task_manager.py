@@ -837,6 +837,21 @@ def test_the_limit_of_an_action_goes_on_under_the_next_manager(boot: str) -> Non
     assert len(said) == (boot == "another")
 
 
+def test_tasks_of_another_version_are_dropped_and_what_was_asked_for_begins() -> None:
+    rig = Rig(robot_with(task("t", act("a", "see")), task("u", act("b", "go"))), "t")
+    saved = msgspec.to_builtins(rig.manager.tasks.saved)
+    saved["records"][0]["progress"]["inside"][0]["heard"] = [1, 2]
+    kept = msgspec.msgpack.encode(saved)
+    rig.run.commit(replace(rig.run.desired, tasks=kept), "kept")
+    rig.run.has_taken_over = True
+    asked = Tasks(rig.robot)
+    asked.start("u", 0.0)
+    assert goes_on_with(rig.run, asked, rig.journal) is asked.saved
+    why = "Expected `int`, got `array` - at `$.records[0].progress.inside[0].heard`"
+    said = f"the previous manager's tasks cannot be read, and are dropped: {why}"
+    assert said in rig.said()
+
+
 def test_a_choice_that_is_ahead_is_said_only_when_it_is_made() -> None:
     choice = Choice(steps=(act("a", "see"), act("b", "go")))
     rig = Rig(robot_with(task("t", act("first", "see"), choice)), "t")
