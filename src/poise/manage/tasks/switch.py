@@ -134,7 +134,7 @@ class SlowStarts:
         self._faults_before: Numbers = {}
 
     def note(self, begins: Iterable[str], since: float, delay: float) -> None:
-        """Note what is due since a time [s, `boot_time`], and waits for a delay [s]."""
+        """Note what takes long, due since then [s, `boot_time`], and its delay [s]."""
         self._since = {**dict.fromkeys(begins, since), **self._since}
         self._not_before = boot_time() + delay
         self._faults_before = last_numbers(self._live.agents.statuses())
@@ -237,7 +237,7 @@ def _wait(
 
 
 def _wait_until_configured(live: LiveRobot, new: Collection[Incarnation]) -> None:
-    """Wait until all is configured, joined or idle; LaterError: that takes long."""
+    """Wait until all is configured, joined or idle; LaterError: `new` takes long."""
     try:
         _wait(live, new, PATIENCE)
     except NotReady as error:

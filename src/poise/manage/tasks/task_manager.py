@@ -317,7 +317,7 @@ class TaskManager:
         return ended
 
     def _note_ended(self, broken: str = "") -> None:
-        """Remember what has ended, and what served it, or is `broken` and could not."""
+        """Remember what has ended, and what served it; `broken` could not begin."""
         blamed = self._live.robot.architecture_of(broken) if broken else None
         for ended in self.tasks.pop_ended():
             self._since = boot_time()
