@@ -8,14 +8,15 @@ from typing import cast
 import pytest
 from msgspec import structs
 
-from poise.errors import RunError
+from poise.errors import RunError, UsageError
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.deploy.desired import Incarnation
 from poise.manage.deploy.live_robot import ACTIVE_LIMIT, LiveRobot
 from poise.manage.journal import Journal
 from poise.manage.migration.migration_report import TransitionStep
+from poise.manage.migration.move import check_target
 from poise.manage.migration.transition_run import start_together, transit
-from poise.model.robot import Robot
+from poise.model.robot import Computer, Robot
 from poise.wire.records.deployment_records import Deployment
 from poise.wire.records.request_records import Election
 from poise.wire.records.status_records import ComponentStatus
@@ -49,6 +50,20 @@ def told(agents: FakeAgents) -> dict[str, tuple[str, int, str]]:
         for container in deployment.containers
         for component in container.components
     }
+
+
+def test_where_a_component_may_run_is_said_in_order(
+    robot: Robot, agents: FakeAgents
+) -> None:
+    more = [Computer(name=name, capacity={"cpu": 1.0}) for name in "hgfedcba"]
+    robot = structs.replace(
+        robot.with_components(lambda c: structs.replace(c, only=tuple("hgfedcba"))),
+        computers=(*robot.computers, *more),
+    )
+    journal, where = Journal(":memory:"), {"filter": "a"}
+    live = LiveRobot(robot, where, cast("Agents", agents), journal, "/run")
+    with pytest.raises(UsageError, match="only on a or b or c or d or e or f or g or"):
+        check_target(live, "filter", "left", force=True)
 
 
 def test_what_cannot_be_started_is_placed_nowhere(

@@ -84,7 +84,7 @@ def check_target(
     if computer not in allowed:
         raise UsageError(
             f"component '{component}' may not run on '{computer}', only on "
-            f"{' or '.join(allowed) or 'none'}"
+            f"{' or '.join(sorted(allowed)) or 'none'}"
         )
     if not live.robot.component(component).movable:
         raise UsageError(f"component '{component}' is not movable (robot file)")
