@@ -8,12 +8,15 @@ from pathlib import Path
 
 import pytest
 
+from poise.cli import recording_command
+from poise.session import Say
+from poise.session.running_robots.playback import Playback
 from poise.wire.records.status_records import (
     AgentSample,
     ComponentSample,
     ContainerSample,
 )
-from tests.command import Poise
+from tests.command import Poise, called
 from tests.recordings import write_recording
 
 ROBOT = """\
@@ -88,3 +91,17 @@ def test_says_whose_recording_it_is(folder: Path, poise: Poise) -> None:
     (folder / "robot.yaml").write_text(ROBOT.replace("robot: r", "robot: s"))
     done = poise("recording", "replay", "run.mcap", "--robot", "robot.yaml")
     assert "was recorded of robot 'r', not of 's'" in done.stderr
+
+
+def test_each_sentence_of_play_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However narrow the terminal is, and though a reason looks like markup."""
+    why = f"eye.seen: not played, {'as [bold]nobody[/] listens there, ' * 20}so far"
+
+    def play(*_: object, say: Say, **__: object) -> Playback:
+        say(why)
+        return Playback(messages={"eye.heard": 3}, skipped={"eye.seen": why}, behind=0)
+
+    monkeypatch.setattr(recording_command, "play", play)
+    done = called(["play", "run.mcap"])
+    assert done.stdout == f"{why}\neye.heard: 3 messages\n"
+    assert done.returncode == 1

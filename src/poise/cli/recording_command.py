@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 import time
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -175,24 +176,24 @@ def play_command(
 
     poise play run.mcap --rate 2 --only camera.picture
     """
-    console = console_to(stderr=as_json)
+    say = partial(console_to(stderr=as_json).print, markup=False, soft_wrap=True)
     with Interrupts() as interrupts:
         played = play(
             file,
             robot=robot,
             rate=rate,
             only=only or (),
-            say=console.say,
+            say=say,
             check=interrupts.check,
         )
     if as_json:
         print_json(played)
     else:
         for port, count in sorted(played.messages.items()):
-            console.say(f"{port}: {counted(count, 'message')}")
+            say(f"{port}: {counted(count, 'message')}")
         if played.behind > _LATE:
             late = f"the last one was {played.behind:.1f} s late"
-            console.say(f"{late}: play it with a lower --rate")
+            say(f"{late}: play it with a lower --rate")
     if any(why != CALLS for why in played.skipped.values()):
         raise typer.Exit(1)
 
