@@ -234,13 +234,15 @@ class _Observer:
 
     def _topics(self, seconds: float) -> Iterator[Topic]:
         for name, types in sorted(self._node.get_topic_names_and_types()):
+            if _is_hidden(name):
+                continue
             publishers = self._node.get_publishers_info_by_topic(name)
             subscribers = dict.fromkeys(
                 _full_name(info)
                 for info in self._node.get_subscriptions_info_by_topic(name)
                 if info.node_name != _NAME
             )
-            if _is_hidden(name) or not (publishers or subscribers):
+            if not (publishers or subscribers):
                 continue
             probe = self._probes.get(name)
             counts = probe.publishers if probe else {}
