@@ -101,7 +101,8 @@ def load_source(
     own = convert(values, Robot)
     robot, repository = with_repository(own, root, problems)
     positions = Positions(root)
-    wrong = [positions.problem(finding) for finding in check_ros2(robot)]
+    before = (*check_addresses(robot), *check_ros2(robot))  # `with_ros2` needs both
+    wrong = [positions.problem(finding) for finding in before]
     robot = robot if wrong else with_ros2(robot)
     problems += wrong
     broken = positions.broken("policies", problems)
@@ -132,7 +133,6 @@ def check(
 ) -> Iterator[Finding]:
     """Yield every problem that shows without code; `broken` policies lack a value."""
     yield from check_names(robot)
-    yield from check_addresses(robot)
     yield from check_voting(robot)
     yield from check_allowed_computers(robot)
     yield from check_checkpoints(robot)

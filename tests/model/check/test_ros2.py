@@ -24,6 +24,7 @@ architectures:
 SCAN = "      scan: {ros2: {package: nav_stack, executable: scan_filter}}\n"
 PLAN = "      plan: {ros2: {node: 'nav.plan:Planner'}}\n"
 DRIVE = "      drive: {implementation: 'nav.drive:Drive'}\n"
+BRIDGE = "{ros2: /a, port: drive.a}"
 
 
 def of(tmp_path: Path, text: str) -> Robot:
@@ -183,3 +184,11 @@ def test_computers_find_each_other_by_their_addresses(tmp_path: Path) -> None:
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
         "ROS_STATIC_PEERS": "10.0.0.1;10.0.0.2",
     }
+
+
+def test_a_wrong_address_is_said_where_nodes_need_it(refuse: Refuse) -> None:
+    """The variables of ROS 2, which are made of the addresses, come after it."""
+    text = HEAD.replace("memory: 1 GiB", "memory: 1 GiB, ▸address: 10.0.0.999", 1)
+    text = text.replace("memory: 1 GiB}}", "memory: 1 GiB, address: 10.0.0.2}}")
+    text += f"{SCAN}{DRIVE}ros2: {{discovery: computers, bridges: [{BRIDGE}]}}\n"
+    refuse(text, "'10.0.0.999' is not a valid IPv4 address")
