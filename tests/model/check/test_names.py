@@ -96,6 +96,7 @@ def test_refuses_in_a_section(
         ),
         ("objective: {weights: {▸gpu: 1}}", ["no resource 'gpu'", "'memory'"]),
         ("objective: {sizes: {▸gpu: 1}}", ["no resource 'gpu'"]),
+        ("workload: {generate: {▸eer: {rate: 1 Hz}}}", ["no component 'eer'"]),
     ],
 )
 def test_refuses_a_section(refuse: Refuse, text: str, words: list[str]) -> None:

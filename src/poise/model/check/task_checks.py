@@ -313,10 +313,12 @@ def check_workload(robot: Robot) -> Iterator[Finding]:
         yield Finding(
             ("workload",), "the workload is empty: give command, recording or generate"
         )
+    names = component_names(robot)
     for generated in workload.generate:
-        if not generated.port.port:
-            path = ("workload", "generate", str(generated.port))
-            yield Finding(path, f"give the port, as in {generated.port.component}.scan")
+        end = generated.port
+        if not end.port and end.component in names:
+            path = ("workload", "generate", str(end))
+            yield Finding(path, f"give the port, as in {end.component}.scan")
 
 
 def check_generated(
