@@ -56,7 +56,11 @@ def test_what_a_policy_lacks_is_found(refuse: Refuse) -> None:
 
 
 def test_only_shipped_policies_are_switched_off(refuse: Refuse) -> None:
-    refuse(ROBOT + "▸overlaod: off", "did you mean 'overload'?")
+    refuse(
+        ROBOT + "▸overlaod: off",
+        "did you mean 'overload'?",
+        "policies: 'overload', 'deadlines', 'drift'",
+    )
 
 
 def test_the_shipped_policies_are_right(find: Find) -> None:

@@ -34,7 +34,7 @@ def _wrong(
     """Yield a key of a policy, if it is about one, and what is wrong there."""
     keys = {"for each": policy.for_each, "when": policy.when, "do": policy.do}
     if policy.off:
-        known = {policy.name for policy in shipped()}
+        known = [policy.name for policy in shipped()]
         if policy.name not in known:
             likely = did_you_mean(policy.name, known)
             what = f"Poise ships no policy '{policy.name}'{likely}"
