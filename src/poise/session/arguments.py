@@ -12,7 +12,6 @@ from types import UnionType
 
 from poise.endpoint import NAME, NAME_SAYS
 from poise.errors import UsageError
-from poise.model.robot import Robot
 from poise.units import quoted
 
 
@@ -49,6 +48,8 @@ def check_name(name: str, is_what: str, option: str = "") -> None:
 
 def check_robot(robot: object) -> None:
     """Raise UsageError for what is no robot, such as the name of its file."""
+    from poise.model.robot import Robot  # noqa: PLC0415, an agent checks names only
+
     if not isinstance(robot, Robot):
         raise UsageError(f"{robot!r} is not a robot: `poise.load(FILE)` returns one")
 
