@@ -20,7 +20,12 @@ from poise.wire.records.request_records import Claim, ManagerId, Refused, majori
 
 
 class Fence:
-    """The manager that claimed an agent last, until one with a higher token does."""
+    """The manager that claimed an agent last, while no later one succeeds it.
+
+    A later one has a higher fencing token, and succeeds when the earlier one's
+    liveliness token is gone, or to take over. What the earlier one still sends is
+    refused.
+    """
 
     def __init__(
         self,
@@ -165,7 +170,10 @@ class Lease:
         began: float | None = None,
         votes: Mapping[str, int] = {},
     ) -> None:
-        """Be claimed by a manager that knows these other agents, at a moment [s]."""
+        """Be claimed by a manager that knows these other agents, at a moment [s].
+
+        Where managers are voted for, a claim extends nothing.
+        """
         self._others, self._manager, self._votes = others, manager, votes
         self._began = began
 
@@ -241,7 +249,10 @@ class Lease:
         return False
 
     def _unheard(self, now: float) -> float:
-        """Return how long ago it sent what all, or most votes, have heard [s]."""
+        """Return how long ago it sent what all other agents have heard [s].
+
+        Where managers are voted for, a majority is enough that obeys the same one.
+        """
         if self._votes:
             acked = {
                 name: contact.acked

@@ -289,7 +289,10 @@ class HeartbeatExchange:
             return self._contacts.qualities(self._clock.now())
 
     def _hear(self, received: Sequence[Received]) -> bool:
-        """Take in heartbeats; return whether to answer at once."""
+        """Take in heartbeats; return whether to answer at once.
+
+        The manager is always answered: one wake-up serves for both.
+        """
         with self._lock:
             answers = [self._answers(*arrival) for arrival in received]
         return any(answers)
@@ -383,7 +386,11 @@ class HeartbeatExchange:
         return self._lease.is_revoked(self._computer, self._fence.token)
 
     def _until(self, now: float, age: float | None = None) -> float:
-        """Return when leased components must stop [s]: they look themselves."""
+        """Return when leased components must stop [s]: they look themselves.
+
+        While there is no manager nothing is started elsewhere: then it is enough that
+        the agent runs.
+        """
         if self._heartbeats is None or self._is_alone:
             return inf
         if self._fence.is_cut_off:
