@@ -50,6 +50,8 @@ class Robot:
         self.gives_state = self.restarts = True
         run: Any = self
         self.clock = SimpleNamespace(now=lambda: self.now)
+        self.unheard: dict[str, float] = {}
+        self.agents = SimpleNamespace(out_of_reach=lambda: self.unheard)
         self.journal = SimpleNamespace(note=lambda _, what: self.notes.append(what))
         monkeypatch.setattr(canary, "plan_return", self._returned)
         monkeypatch.setattr(canary, "start_together", self._restarted)
@@ -203,6 +205,21 @@ def test_code_that_moves_is_not_to_blame_for_what_crashed_there_before(
     robot.health = replace(robot.health, restarts=4)
     assert robot.canaries.check()
     assert robot.placed["eye"].code == ""
+
+
+def test_code_whose_computer_was_lost_has_not_worked_meanwhile(robot: Robot) -> None:
+    robot.replace()
+    robot.now, robot.unheard = 20.0, {"left": 0.0}
+    assert not robot.canaries.check()
+    robot.now, robot.unheard = 35.0, {}
+    robot.placed["eye"] = replace(NEW, computer="right", epoch=3)
+    assert not robot.canaries.check()
+    robot.now = 64.0
+    assert not robot.canaries.check()
+    assert robot.canaries.under_way()
+    robot.now = 65.0
+    assert not robot.canaries.check()
+    assert robot.notes[-1].endswith("it stays")
 
 
 def test_code_that_is_replaced_again_is_watched_no_more(robot: Robot) -> None:

@@ -68,23 +68,23 @@ class Canaries:
         return report
 
     def check(self) -> bool:
-        """End what was watched long enough, and what has failed; return whether any."""
+        """End what was watched long enough, and what has failed; return whether any.
+
+        The time begins anew where it starts anew, and while its computer is not heard.
+        """
+        now, unheard = self._live.clock.now(), self._live.agents.out_of_reach()
         for component, trial in list(self._trials.items()):
             placed = self._live.placed.get(component)
             if placed is None or _code_of(placed) != _code_of(trial.new):
                 del self._trials[component]  # it was replaced again, or stopped
                 continue
-            has_moved = placed.key != trial.new.key
-            health = self._live.health_of(placed) if has_moved else None
-            if health is not None:  # what its container did before says nothing of it
-                self._trials[component] = structs.replace(
-                    trial, new=placed, restarts=health.restarts
-                )
-            elif not has_moved and (why := self._failure(trial, placed)):
+            if placed.key != trial.new.key or placed.computer in unheard:
+                self._trials[component] = self._anew(trial, placed)
+            elif why := self._failure(trial, placed):
                 del self._trials[component]
                 self._return(trial, placed, why)
                 return True
-            elif self._live.clock.now() >= trial.until:
+            elif now >= trial.until:
                 del self._trials[component]
                 what = f"new code of component '{component}' has worked for "
                 self._live.journal.note("done", f"{what}{trial.seconds:g} s: it stays")
@@ -105,6 +105,16 @@ class Canaries:
         for deviation, until in self._returned.copy().values():
             if now < until:
                 yield deviation
+
+    def _anew(self, trial: _Trial, placed: Incarnation) -> _Trial:
+        """Return a trial that begins now, where its component is placed."""
+        until = self._live.clock.now() + trial.seconds
+        has_moved = placed.key != trial.new.key
+        health = self._live.health_of(placed) if has_moved else None
+        if health is None:
+            return structs.replace(trial, until=until)
+        # what its container did before says nothing of it
+        return structs.replace(trial, new=placed, restarts=health.restarts, until=until)
 
     def _failure(self, trial: _Trial, placed: Incarnation) -> str:
         """Return why new code has failed; empty: it has not."""
