@@ -372,10 +372,12 @@ class _Run:
         if self._scenario.is_wild and live is not None and live.desired.coming:
             return  # a start takes up to 3 s there, and what makes room moves before
         allowed = allowed_computers(self._scenario.robot)
+        flaws = self.robot.workload.flaws  # code that crashes breaks by itself
         missing = [
             name
-            for name in sorted(live.placement() if live is not None else ())
-            if (elsewhere := allowed[name] - {fault.target})
+            for name, placed in sorted(live.placed.items() if live is not None else ())
+            if placed.implementation not in flaws
+            and (elsewhere := allowed[name] - {fault.target})
             and works.isdisjoint((name, at) for at in elsewhere)
         ]
         if missing:

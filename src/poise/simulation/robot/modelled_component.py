@@ -114,9 +114,11 @@ class SimulatedComponent:
             self._end_later()
 
     def _crash(self) -> None:
-        """End the container, unless the code was mended meanwhile."""
-        if self.spec.implementation in self.container.world.workload.flaws:
-            self.container.process.kill()
+        """End the container, unless it is gone from there, or the code was mended."""
+        container = self.container
+        is_there = container.components.get(self.key) is self
+        if is_there and self.spec.implementation in container.world.workload.flaws:
+            container.process.kill()
 
     def _end_later(self) -> None:
         """Say now and then that an action is over."""
