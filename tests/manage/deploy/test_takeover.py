@@ -396,6 +396,34 @@ def test_who_does_not_answer_is_asked_again_whether_a_move_was_committed(
     assert asked[1:] == [[sender]]
 
 
+def test_who_was_cut_off_is_claimed_again_before_it_is_asked_about_a_move(
+    robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else it refuses all, also the request to stop what may have gone on."""
+    source = structs.replace(LEFT[1], goal="stay")
+    target = structs.replace(LEFT[1], computer="right", epoch=5, goal="inactive")
+    run, agents, _ = run_of(robot, LEFT[0], source, target)
+    run.clock = VirtualClock()
+
+    def is_cut_off(computer: str) -> bool:
+        return computer == "right" and agents.claimed.count("right") == 1
+
+    def send_steps(
+        batches: Iterable[tuple[str, MigrationSteps]],
+    ) -> Iterator[StepsOutcome]:
+        for computer, steps in batches:
+            if is_cut_off(computer):
+                yield StepsFailed(steps.number, "the lease of 'right' ended")
+            else:
+                yield StepsDone(steps.number)
+
+    monkeypatch.setattr(agents, "is_cut_off", is_cut_off)
+    monkeypatch.setattr(agents, "send_steps", send_steps)
+    start_or_take_over(run, by_force=False)
+    assert agents.claimed.count("right") == 2
+    assert run.placement() == {"grabber": "left", "thinker": "left"}
+
+
 def test_who_is_replaced_while_it_starts_what_is_missing_leaves_the_robot(
     robot: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:

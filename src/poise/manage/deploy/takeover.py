@@ -379,7 +379,7 @@ def _committed(
         doubted = [each for each in targets if each.key not in committed]
         if not asked or not doubted or live.clock.now() >= until:
             break
-        _raise_on_ended_leases(live, asked)
+        _claim_again(live, asked)
         live.clock.sleep(LOOK_EVERY)
     # nothing goes on in the container of a target before the commit
     asked &= {(each.computer, each.container) for each in doubted}
@@ -410,13 +410,18 @@ def _not_begun(
     return found
 
 
-def _raise_on_ended_leases(live: LiveRobot, asked: Iterable[tuple[str, str]]) -> None:
-    """Let another leader try, whose claim an agent obeys that was cut off amid it."""
-    if live.agents.election is None:
-        return
+def _claim_again(live: LiveRobot, asked: Iterable[tuple[str, str]]) -> None:
+    """Claim agents again that were cut off meanwhile: until then they refuse all.
+
+    Where leaders are elected such an agent obeys the claim of another one, which tries.
+    """
     for computer in sorted({computer for computer, _ in asked}):
-        if live.agents.heartbeats.is_cut_off(computer):
+        if not live.agents.heartbeats.is_cut_off(computer):
+            continue
+        if live.agents.election is not None:
             raise RunError(f"the lease of '{computer}' has ended amid the take-over")
+        with contextlib.suppress(RunError):  # it is asked again
+            live.agents.claim({computer})
 
 
 def _end_containers(
