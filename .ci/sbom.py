@@ -13,6 +13,8 @@ from collections.abc import Iterator
 from importlib.metadata import PackageNotFoundError, metadata, requires
 from pathlib import Path
 
+from poise.version import VERSION
+
 ROOT = Path(__file__).parents[1]
 COMPILED_IN = ("nanobind", "ziglang")
 """The bindings, and the compiler with its C++ library."""
@@ -76,9 +78,7 @@ def component(name: str, version: str) -> dict[str, object]:
 
 def main() -> int:
     """Write the bill."""
-    text = (ROOT / "pyproject.toml").read_text()
-    (own,) = re.findall(r'^version = "(.+)"', text, re.MULTILINE)
-    versions = locked() | {"poise": own}
+    versions = locked() | {"poise": VERSION}
     needs = closure("poise")
     named = sorted({*needs, *COMPILED_IN})
     if missing := [name for name in named if name not in versions]:
