@@ -21,7 +21,7 @@ def temporary_folder() -> Path:
     return Path(named if is_usable else "/tmp")  # noqa: S108 - callers check owner and mode
 
 
-def write_whole(path: Path, data: bytes, modified: float | None = None) -> None:
+def write_private(path: Path, data: bytes, modified: float | None = None) -> None:
     """Write a file that nobody else can read, whole or not at all; OSError.
 
     `modified`: its time, if that is not to be now [s].

@@ -31,7 +31,7 @@ from poise.emulate.processes import PREFIX, Owner, marked, stop
 from poise.errors import PoiseError, RunError, UsageError
 from poise.model.robot import Robot
 from poise.threads import poll_until
-from poise.user_folders import write_whole
+from poise.user_folders import write_private
 
 FOLDER = "POISE_EMULATIONS"
 """The environment variable that names the registry's folder."""
@@ -114,7 +114,7 @@ def read(run: str) -> EmulationLayout | None:
 def write(layout: EmulationLayout) -> None:
     """Write an entry, or what has changed in it."""
     try:
-        write_whole(_entry(layout.run), msgspec.json.encode(layout))
+        write_private(_entry(layout.run), msgspec.json.encode(layout))
     except OSError as error:
         raise RunError(f"an emulation cannot be written down: {error}") from error
 

@@ -20,7 +20,7 @@ from msgspec import Struct
 
 from poise.decoding import from_json
 from poise.errors import RunError
-from poise.user_folders import temporary_folder, write_whole
+from poise.user_folders import temporary_folder, write_private
 from poise.wire.codec import MALFORMED
 
 if TYPE_CHECKING:
@@ -166,7 +166,7 @@ def note(addresses: AgentAddresses) -> None:
     path = _path(addresses.robot)
     try:
         make_folder()
-        write_whole(path, msgspec.json.encode(addresses))
+        write_private(path, msgspec.json.encode(addresses))
     except OSError as error:
         raise RunError(
             f"{path} cannot be written ({error}): if the manager is killed, `poise "

@@ -62,8 +62,8 @@ def start_or_take_over(
         is_at_work = _take_over(
             live, is_rule=is_rule, by_force=by_force, follows=follows
         )
-    except Exception:
-        live.leave()  # no error of a new manager ends a robot that is at work
+    except Exception:  # no error of a new manager ends a robot that is at work
+        live.leave()
         raise
     if not is_at_work:
         live.start_all()
@@ -246,7 +246,7 @@ def _way_out_of(error: RunError) -> str:
 def _may_hold_leases(live: LiveRobot, away: Collection[str]) -> list[str]:
     """Wait until the leases of computers have ended; return those that may have one.
 
-    All at the same time: what is heard anew meanwhile may have a lease again.
+    All must have ended at one moment: one that is heard again may hold a lease again.
     """
     have_ended = live.agents.heartbeats.have_leases_ended
     until = live.clock.now() + LEASES_END_WITHIN

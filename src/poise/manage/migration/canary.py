@@ -70,7 +70,8 @@ class Canaries:
     def check(self) -> bool:
         """End what was watched long enough, and what has failed; return whether any.
 
-        The time begins anew where it starts anew, and while its computer is not heard.
+        A trial starts over when its component starts on another computer, and once its
+        computer is reached again.
         """
         now, unheard = self._live.clock.now(), self._live.agents.out_of_reach()
         for component, trial in list(self._trials.items()):

@@ -23,7 +23,7 @@ from poise.errors import RunError, UsageError
 from poise.runtime.agent.surroundings import AgentState, Reply
 from poise.runtime.container.account import Account, rights_of
 from poise.runtime.hosting.output import forget_output, read_output
-from poise.user_folders import write_whole
+from poise.user_folders import write_private
 from poise.wire.codec import MALFORMED
 from poise.wire.records.deployment_records import Deployment
 from poise.wire.records.request_records import (
@@ -79,7 +79,7 @@ class AgentFolder:
         """Keep what the next agent must know; `trouble` says why not."""
         state = msgspec.structs.replace(state, boot=self._boot)
         try:
-            write_whole(self._path, msgspec.msgpack.encode(state))
+            write_private(self._path, msgspec.msgpack.encode(state))
         except OSError as error:
             self.trouble = (
                 f"the agent cannot save its deployment: {error}; if it is killed, the "
@@ -179,7 +179,7 @@ class CheckpointFiles:
     def write(self, copy: CheckpointCopy) -> None:
         """Keep a copy for a component that is to start here; OSError: there is none."""
         path = checkpoint_path(self.folder, copy.component, copy.epoch)
-        write_whole(path, copy.data or b"", boot_time() - copy.age)
+        write_private(path, copy.data or b"", boot_time() - copy.age)
 
     def age(self, component: str, epoch: int) -> float | None:
         """Return the age of a checkpoint [s]; None: there is none. No disk is used."""

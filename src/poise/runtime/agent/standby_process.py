@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from msgspec.msgpack import encode
 
 from poise.errors import PoiseError
-from poise.user_folders import write_whole
+from poise.user_folders import write_private
 from poise.wire.address import KEYS
 from poise.wire.records.request_records import Claim
 
@@ -56,7 +56,7 @@ class StandbyProcess:
     def _wait_with(self, claim: Claim, *, has_ended: bool) -> None:
         robot = claim.agents, claim.election  # all that a standby looks at
         if robot != self._written:
-            write_whole(self._path, encode(claim))
+            write_private(self._path, encode(claim))
             self._written = robot
         if self._process is None or has_ended:
             self._process = subprocess.Popen(  # noqa: S603, Poise itself

@@ -18,7 +18,7 @@ from poise.runtime.component.component import Component
 from poise.runtime.connectors.latest import LatestMessages
 from poise.runtime.execution.container_lease import LeaseEnd, check_lease
 from poise.runtime.migration.state_check import check_fits, describe_type, type_taken_by
-from poise.user_folders import write_whole
+from poise.user_folders import write_private
 from poise.wire import frame
 from poise.wire.codec import Codec, WireError, codec
 from poise.wire.frame import FrameKind
@@ -93,7 +93,7 @@ class Checkpoints:
             frame.parse(checkpoint.state).value(codec(type(state)))
         check_lease(self._lease, self._component)
         if data != self._before or not self._is_renewed():
-            write_whole(self._path, data, boot_time())
+            write_private(self._path, data, boot_time())
             self._before = data
         self.cost = self._clock.now() - began
         if self.cost > self._every:

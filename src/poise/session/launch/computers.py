@@ -267,7 +267,7 @@ class Computers:
         self._began = 0.0
 
     @property
-    def outlive_manager(self) -> bool:
+    def outlive_process(self) -> bool:
         """Whether agents and containers go on when this process is killed."""
         return not self._agents
 

@@ -252,7 +252,7 @@ def started(  # noqa: PLR0913 - each is a choice of the caller
                 computers.endpoints,
                 SystemClock(),
                 take if look.take else None,
-                is_leased=computers.outlive_manager,
+                is_leased=computers.outlive_process,
                 election=election,
                 keys=computers.addresses.credentials(),
                 control=str(path_of(robot.name)),
@@ -273,7 +273,7 @@ def started(  # noqa: PLR0913 - each is a choice of the caller
         live.begin_with(tasks)
         if begin is None:
             say(f"starting {counted(len(placement), 'component')}")
-        if computers.outlive_manager:
+        if computers.outlive_process:
             try:
                 note(computers.addresses)
             except RunError as error:  # it says what is harder now

@@ -221,7 +221,7 @@ def test_the_trouble_is_said_when_nothing_can_be_removed_either(
         raise OSError(errno.EROFS, "read-only")
 
     with monkeypatch.context() as patch:
-        patch.setattr(agent_files, "write_whole", refuse)
+        patch.setattr(agent_files, "write_private", refuse)
         patch.setattr(Path, "unlink", refuse)
         folder.keep(AgentState(token=2))
     assert "read-only" in folder.trouble
