@@ -33,6 +33,11 @@ def time_of_day(moment: float) -> str:
     return time.strftime("%H:%M:%S", time.localtime(moment))
 
 
+def date_and_time(moment: float) -> str:
+    """Return a moment [s since 1970] for people, with its date."""
+    return time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(moment))
+
+
 def boot_time() -> float:
     """Return the time [s] since this computer started, suspended or not."""
     return time.clock_gettime(time.CLOCK_BOOTTIME)

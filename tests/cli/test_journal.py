@@ -74,13 +74,19 @@ def test_without_a_file_it_shows_the_last_robot_or_the_one_that_is_named(
         os.utime(path, (at, at))
     shown = poise("journal", "--kind", "decided")
     assert shown.stdout.endswith(" last decided\n")
-    assert "journal of robot 'last': " in shown.stderr
+    assert "journal of robot 'last' until 1970-01-01 " in shown.stderr
     assert "first decided" in poise("journal", "--robot", "first").stdout
     refused = poise("journal", "--robot", "odd")
     assert refused.returncode == 2
     assert "no journal of robot 'odd'" in refused.stderr
     assert "there: first, last" in " ".join(refused.stderr.split())
     assert poise("journal", path, "--robot", "last").returncode == 2
+    book = Journal(make_journal("first", tmp_path / "given"))
+    book.note("decided", "the given one decided")
+    book.close()
+    assert poise("journal").stdout.endswith(" the given one decided\n")
+    (tmp_path / "given").unlink()
+    assert "first decided" in poise("journal", "--robot", "first").stdout
 
 
 def test_refuses_what_is_no_journal(file: Path, tmp_path: Path, poise: Poise) -> None:

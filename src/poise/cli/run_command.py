@@ -132,7 +132,7 @@ def up_command(
     placement: AnyMethod = None,
     journal: Annotated[
         Path | None,
-        typer.Option(help="File for the journal; else `poise journal` finds it."),
+        typer.Option(help="File for the journal, else in the user's state folder."),
     ] = None,
     metrics: Annotated[
         int | None,

@@ -21,7 +21,7 @@ from rich.markup import escape
 
 from poise.cli.options import AsJson, as_yaml, parse_option, print_json, running, show
 from poise.cli.running_robot_command import Robot
-from poise.clock import time_of_day
+from poise.clock import date_and_time, time_of_day
 from poise.endpoint import is_loopback
 from poise.errors import UsageError
 from poise.manage.agent_connections.statuses import connectors_of
@@ -293,8 +293,12 @@ def journal_command(
     if file is not None and robot is not None:
         raise UsageError("give a file or --robot, not both")
     if file is None:
-        file = find_journal(robot)
-        sys.stderr.write(f"journal of robot '{file.parent.name}': {file}\n")
+        found = find_journal(robot)
+        file = found.resolve()
+        until = date_and_time(file.stat().st_mtime)
+        sys.stderr.write(
+            f"journal of robot '{found.parent.name}' until {until}: {file}\n"
+        )
     entries = read_journal(file)
     chosen = [entry for entry in entries if fits(entry)]
     chosen = chosen[-last:] if last else chosen

@@ -14,7 +14,7 @@ from pathlib import Path
 from poise.errors import RunError, UsageError
 from poise.user_folders import home_folder, temporary_folder
 
-_JOURNAL = "journal.jsonl"
+_JOURNAL, _GIVEN = "journal.jsonl", "journal-given"
 
 
 def state_folder() -> Path:
@@ -23,25 +23,36 @@ def state_folder() -> Path:
     return Path(state) / "poise"
 
 
-def make_journal(robot: str) -> Path:
-    """Return the file of a robot's journal, in a folder that is there if possible."""
+def make_journal(robot: str, given: Path | None = None) -> Path:
+    """Return the file of a robot's journal, in a folder that is there if possible.
+
+    A `given` one is linked there, for `find_journal`.
+    """
     path = state_folder() / robot / _JOURNAL
     with contextlib.suppress(OSError):  # the journal itself says that it has none
         path.parent.mkdir(parents=True, exist_ok=True)
-    return path
+        if given is not None:
+            link = path.with_name(_GIVEN)
+            link.unlink(missing_ok=True)
+            link.symlink_to(given.resolve())
+    return given or path
 
 
 def find_journal(robot: str | None = None) -> Path:
-    """Return a robot's journal, or the one written last; UsageError: there is none."""
-    found = list(state_folder().glob(f"{robot or '*'}/{_JOURNAL}"))
+    """Return a robot's journal, or the one written last; UsageError: there is none.
+
+    Its folder has the robot's name; a given one is a link there.
+    """
+    every = [p for n in (_JOURNAL, _GIVEN) for p in state_folder().glob(f"*/{n}")]
+    known = [path for path in every if path.exists()]
+    found = [path for path in known if robot in {None, path.parent.name}]
     if not found:
         of = f" of robot '{robot}'" if robot else ""
-        known = sorted(
-            each.parent.name for each in state_folder().glob(f"*/{_JOURNAL}")
-        )
+        names = ", ".join(sorted({path.parent.name for path in known})) or "none"
         raise UsageError(
-            f"there is no journal{of} in {state_folder()} (there: "
-            f"{', '.join(known) or 'none'}): `poise up` writes one, or name a file"
+            f"there is no journal{of} in {state_folder()} (there: {names}): its "
+            "manager writes one, on the computer that `poise status` names, or name a "
+            "file"
         )
     return max(found, key=lambda each: each.stat().st_mtime_ns)
 

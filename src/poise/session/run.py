@@ -77,7 +77,7 @@ def run(  # noqa: PLR0913 - each is a choice of the user
         What `poise.place` decided; None: it is decided here.
     journal
         A file for every decision, a line of JSON each; None: it is in the user's state
-        folder, where `poise journal` finds it.
+        folder. `poise journal` finds both.
     record
         A file for what is used and what is published between architectures; None: it
         is not kept. One that is there already is kept beside it, as ``NAME-before``.

@@ -165,7 +165,7 @@ def up(  # noqa: PLR0913 - each is a choice of the user
         stays where it is.
     journal
         A file for every decision, a line of JSON each; None: it is in the user's state
-        folder, where `poise journal` finds it.
+        folder. `poise journal` finds both.
     metrics
         TCP port for Prometheus, on this computer; None: none.
     otel

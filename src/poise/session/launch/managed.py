@@ -75,7 +75,7 @@ def journal_of(
     """Keep the journal of a robot, which begins with why it is placed as it is."""
     file = None if path is None else Path(path)
     check_journal(file)
-    journal = Journal(file or make_journal(robot.name), show)
+    journal = Journal(make_journal(robot.name, file), show)
     try:
         for sentence in decided:
             journal.note("decided", sentence)

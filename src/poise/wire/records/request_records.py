@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import time
 from collections.abc import Mapping
 from hashlib import blake2s
 from math import inf
@@ -12,7 +11,7 @@ from typing import Any, Literal
 
 from msgspec import Struct
 
-from poise.clock import boot_time
+from poise.clock import boot_time, date_and_time
 from poise.wire.codec import Packed
 from poise.wire.records.code_records import CodePart, CodeReceived, InstallCode
 from poise.wire.records.deployment_records import Deployment
@@ -61,7 +60,7 @@ class ManagerId(Struct, frozen=True, kw_only=True):
 
     def __str__(self) -> str:
         """Return who it is, for people."""
-        began = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(self.since))
+        began = date_and_time(self.since)
         return f"user {self.user} on {self.host} (process {self.pid}) since {began}"
 
 
