@@ -611,6 +611,20 @@ def test_a_paused_task_rests_and_keeps_its_state() -> None:
     assert rig.run.placed["seeer"].key == before.key
 
 
+def test_agents_learn_what_rests_together_with_how_far_its_task_is() -> None:
+    rig = Rig(robot_with(task("t", act("a", "see"), act("b", "go"))), "t")
+    rig.agents.deployed.clear()
+    rig.end("seeer")
+    rig.manager.command("pause", "t")
+    for _, deployment in rig.agents.deployed:
+        record = msgspec.msgpack.decode(deployment.desired, type=Desired)
+        saved = msgspec.msgpack.decode(record.tasks, type=Saved)
+        (attempt,) = Tasks(rig.robot, saved=saved).tries(saved.records[0])
+        active = [each.name for each in deployment.components if each.goal == "active"]
+        if attempt.is_at_work and deployment.components:  # none is on the other one
+            assert active == [f"{attempt.action.functions[0]}er"]
+
+
 def with_lesser(robot: Robot) -> Robot:
     """Return it with an alternative of `see` that the planner would not take."""
     lesser = Architecture(

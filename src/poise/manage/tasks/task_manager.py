@@ -166,6 +166,7 @@ class TaskManager:
         if not ends and not new:
             self._slow.keep({})
             return False
+        self._save(tell_later=True)  # this manager may be killed amid the switch
         needed = {name for each in new for name in each.action.functions}
         if self._lost and (gone := self._serving.replaceable(self._lost, needed)):
             why = "an alternative takes the place of what is on a lost computer"
@@ -387,14 +388,14 @@ class TaskManager:
         facts = {"task": attempt.task, "is_hit": is_hit, "seconds": seconds}
         self._live.journal.note("done", text, **facts)
 
-    def _save(self) -> None:
+    def _save(self, *, tell_later: bool = False) -> None:
         """Let components and the next manager know what they need, if that is new."""
         self._upcoming = self.tasks.next_actions()
         self.reports = self._reported()
         live, saved = self._live, msgspec.msgpack.encode(self.tasks.saved)
         desired = replace(self._with_turns(), tasks=saved)
         if desired != live.desired:
-            live.commit(desired, "tasks go on")
+            live.commit(desired, "tasks go on", tell_later=tell_later)
 
     def _reported(self) -> tuple[TaskReport, ...]:
         def serving(attempt: Attempt) -> tuple[str, ...]:
