@@ -8,6 +8,7 @@ from typing import Any, cast
 import pytest
 from msgspec.structs import replace
 
+from poise.clock import wall_time
 from poise.errors import UsageError
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.control_socket.commands import LogCommand, TapCommand
@@ -115,6 +116,28 @@ def test_a_topic_of_ros2_is_known_and_left_to_it(asked: str) -> None:
         assert str(said.value) == (
             f"'{asked}' is made by ROS 2 alone: `ros2 topic echo /scan` shows it"
         )
+
+
+def test_lines_are_in_order_though_a_clock_is_wrong() -> None:
+    """The right computer's clock has just begun, at 1970."""
+    now = int(wall_time() * 1e9)
+
+    def told(now: int, *ages: int) -> OutputLines:
+        texts = tuple(
+            OutputLine(at=now - age, component="eye", text=str(age)) for age in ages
+        )
+        return OutputLines(lines=texts, now=now)
+
+    agents = SimpleNamespace(
+        statuses=lambda: STATUSES,
+        request_all=lambda *_: {
+            "left": told(now, 4 * 10**9, 2 * 10**9),
+            "right": told(60 * 10**9, 3 * 10**9, 10**9),
+        },
+    )
+    reading = _read_log(cast("Agents", agents), LogCommand(most=2))
+    assert [int(line.text) // 10**9 for line in reading.lines] == [2, 1]
+    assert reading.after["right"] == 59 * 10**9
 
 
 @pytest.mark.parametrize(("most", "texts"), [(0, []), (1, ["b"]), (9, ["a", "b"])])

@@ -39,6 +39,7 @@ from poise.wire.records.migration_records import StepsFailed
 from poise.wire.records.request_records import (
     MOST_PACKED,
     PARAMETERS,
+    OutputLine,
     OutputLines,
     PortAnswer,
     PortRequest,
@@ -260,15 +261,21 @@ def _read_log(agents: Agents, command: LogCommand) -> LogReading:
         )
         for computer in agents.statuses()
     }
+    began = int(wall_time() * 1e9)
     answers = agents.request_all(asked, _ANSWER_LIMIT)
-    after, lines, omitted = dict(command.after), [], 0
+    ended = int(wall_time() * 1e9)
+    after, omitted = dict(command.after), 0
+    lines: list[OutputLine] = []
+    slow: dict[str, int] = {}  # by how much their clocks are at least [ns]
     for computer, answer in answers.items():
         if isinstance(answer, OutputLines):
+            now = answer.now or ended
+            slow[computer] = min(max(now, began), ended) - now
             lines += [replace(line, computer=computer) for line in answer.lines]
             omitted += answer.omitted
             if answer.lines:
                 after[computer] = answer.lines[-1].at
-    lines.sort(key=lambda line: line.at)
+    lines.sort(key=lambda line: line.at + slow[line.computer])
     last = lines[max(0, len(lines) - command.most) :]
     silent = [c for c, answer in answers.items() if not isinstance(answer, OutputLines)]
     omitted += len(lines) - len(last)

@@ -239,7 +239,7 @@ def read_output(folder: Path, request: ReadOutput) -> OutputLines:
     }
     lines = sorted(matching, key=lambda line: line.at)
     last = lines[max(0, len(lines) - request.most) :]
-    return OutputLines(lines=tuple(last), omitted=len(lines) - len(last))
+    return OutputLines(lines=tuple(last), omitted=len(lines) - len(last), now=now)
 
 
 def forget_output(folder: Path) -> None:

@@ -133,6 +133,7 @@ class OutputLines(Struct, frozen=True, tag=True, kw_only=True):
 
     lines: tuple[OutputLine, ...] = ()
     omitted: int = 0
+    now: int = 0  # When this was told, by the same clock as the lines; 0: not known
 
 
 SHOWN_ITEMS = 16
