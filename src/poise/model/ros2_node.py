@@ -12,14 +12,23 @@ from msgspec import Struct
 from poise.model.file_keys import Reference, note, says
 
 _WORD = r"[A-Za-z_][A-Za-z0-9_]*"
-_PART = r"([A-Za-z_]|\{\w*\})(\w|\{\w*\})*"
+_OWN = r"\{(node|ns|namespace)\}"
+_PART = rf"([A-Za-z_]|{_OWN})([A-Za-z0-9_]|{_OWN})*"
 _NAME = rf"(~(/{_PART})*|/?{_PART}(/{_PART})*)"
 RosName = Annotated[
     str,
     note(
-        pattern=rf"^({_NAME}|/)$",
+        pattern=rf"^{_NAME}$",
         expected="a name of ROS 2: letters, digits, '_' and '/', as /front/scan",
         examples=("/scan", "cmd_vel"),
+    ),
+]
+_Namespace = Annotated[
+    str,
+    note(
+        pattern=rf"^(/|/?{_WORD}(/{_WORD})*)$",
+        expected="a namespace of ROS 2: letters, digits, '_' and '/', as /front",
+        examples=("/front",),
     ),
 ]
 _RemappedName = Annotated[
@@ -61,11 +70,11 @@ class Ros2Node(Struct, frozen=True, kw_only=True):
     ] = ""
     name: Annotated[
         str,
-        note(pattern=r"^\w*$", expected="letters, digits and '_'"),
+        note(pattern=rf"^({_WORD})?$", expected="letters, digits and '_'"),
         says("The node's name. Default: as its code says.", is_nullable=True),
     ] = ""
     namespace: Annotated[
-        RosName, says("The node's namespace: /front.", is_nullable=True)
+        _Namespace, says("The node's namespace: /front.", is_nullable=True)
     ] = ""
     remap: Annotated[
         Mapping[_RemappedName, RosName],

@@ -92,6 +92,11 @@ def node_with(key: str) -> str:
         (node_with("remap: {▸a: b c}"), ["'b c' is not allowed"]),
         (node_with("remap: {▸a: /b/}"), ["'/b/' is not allowed"]),
         (DRIVE + "ros2: {bridges: [{▸ros2: /a/1b, port: drive.a}]}\n", ["'/a/1b' is"]),
+        (DRIVE + "ros2: {bridges: [{▸ros2: /, port: drive.a}]}\n", ["'/' is not"]),
+        (node_with("remap: {▸a: '/{robot}/a'}"), ["'/{robot}/a' is not allowed"]),
+        (node_with("remap: {▸a: /aä}"), ["'/aä' is not allowed"]),
+        (node_with("▸name: 1a"), ["'1a' is not allowed"]),
+        (node_with("▸namespace: ~/a"), ["'~/a' is not allowed"]),
         (node_with("params_files: [▸'']"), ["is empty"]),
     ],
 )
