@@ -130,6 +130,8 @@ def test_refuses_a_missing_key(refuse: Refuse) -> None:
             ["parameters.n: '99999999999999999999' does not fit into 64 bits"],
         ),
         (component("{parameters: {▸n: 1e999}}"), ["too large"]),
+        (component("{parameters: {▸n: -.inf}}"), ["'-.inf' is no finite number"]),
+        (component("{parameters: {▸n: [.NaN]}}"), ["'.NaN' is no finite number"]),
         (
             component("{parameters: {▸n: True}}"),
             ["parameters.n: 'True': write true, or put a text in quotes"],

@@ -22,6 +22,7 @@ NULLS = ("", "~", "null")
 _WORDS = dict.fromkeys(NULLS) | {"true": True, "false": False}
 _INTEGER = re.compile(r"[+-]?[0-9]+")
 _FLOAT = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+_NOT_FINITE = re.compile(r"[+-]?\.inf|\.nan", re.IGNORECASE)
 _LARGEST = 2**63
 _DIGITS = 19
 
@@ -51,6 +52,8 @@ def _scalar(scalar: Scalar) -> Any:  # noqa: ANN401, any scalar of YAML
         if float(text) in (float("inf"), float("-inf")):
             raise ValueError(f"{quoted(text)} is too large for a number")
         return float(text)
+    if _NOT_FINITE.fullmatch(text):
+        raise ValueError(f"{quoted(text)} is no finite number; put a text in quotes")
     return text
 
 
