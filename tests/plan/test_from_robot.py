@@ -164,6 +164,12 @@ def test_says_which_pins_contradict(robot: Robot) -> None:
     assert "arm is on main" in str(caught.value)
 
 
+def test_a_device_that_the_robot_lacks_is_nowhere(robot: Robot) -> None:
+    """A robot that comes from no file may name one."""
+    with pytest.raises(RobotError, match="nowhere: the robot has no device camera"):
+        plan.problem_of(replace(robot, devices=()))
+
+
 def test_says_which_task_or_function_is_unknown(robot: Robot) -> None:
     with pytest.raises(UsageError, match=r"no task 'dance' \(its tasks: fetch\)"):
         plan.problem_of(robot, "dance")

@@ -30,10 +30,12 @@ def pins(
     """Yield where a component is held to by the robot file, and why."""
     if component.only:
         yield component.only, f"only {' or '.join(component.only)}"
-    for device in robot.devices:
-        if device.name in component.devices:
-            text = f"device {device.name} is on {device.computer}"
-            yield (device.computer,), text
+    places = {device.name: device.computer for device in robot.devices}
+    for name in component.devices:
+        if name in places:
+            yield (places[name],), f"device {name} is on {places[name]}"
+        else:  # of a robot that is from no file
+            yield (), f"the robot has no device {name}"
     is_fixed = layers_stay and architecture.layer != "sequencing"
     if is_fixed and (home := architecture.home) is not None:
         yield (home,), f"the {architecture.layer} layer stays at its home {home}"
