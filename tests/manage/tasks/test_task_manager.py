@@ -11,7 +11,7 @@ import msgspec
 import pytest
 from msgspec.structs import replace
 
-from poise.clock import boot_id
+from poise.clock import boot_id, boot_time
 from poise.errors import UsageError
 from poise.estimate import success_rates
 from poise.estimate.outcomes import outcomes_of
@@ -370,6 +370,24 @@ def test_an_action_that_does_not_fit_alone_fails_and_says_why() -> None:
     rig = Rig(robot_with(task("t", other), cpu=0.5), "t")
     assert rig.active() == {"sayer"}
     assert any("has failed: it does not fit: " in each for each in rig.said())
+
+
+def test_what_is_resumed_waits_for_room_that_other_programs_take_meanwhile(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    rig = Rig(robot_with(task("t", act("a", "see", on_failure=act("b", "go")))), "t")
+    rig.manager.command("pause", "t")
+    rig.loads["main"] = Load(capacity=1.0, used=0.9, background=0.9)
+    rig.manager.command("resume", "t")
+    state, why = rig.states()["t"]
+    assert (state, rig.active()) == ("waiting", set())
+    assert why.startswith("it does not fit any more: ")
+    assert why.endswith("Other programs take 0.9 cores of 'main'")
+    rig.loads.clear()
+    later = boot_time() + 60
+    monkeypatch.setattr(task_manager, "boot_time", lambda: later)
+    rig.manager.advance()
+    assert (rig.states()["t"], rig.active()) == (("going", ""), {"seeer"})
 
 
 def test_what_is_suspended_needs_no_room_and_holds_no_action_up() -> None:

@@ -275,10 +275,10 @@ class Admission:
         return dict(by_plan)
 
     def _end_or_block(self, record: TaskRecord, why: str) -> None:
-        """End the actions that do not fit though no other task runs."""
+        """End what does not fit though no other task runs; what has begun before waits."""
         now = boot_time()
         for attempt in self._tasks.tries(record):
-            if not attempt.is_at_work:
+            if not attempt.is_at_work and not attempt.progress.spent:
                 text = f"it does not fit: {why}"
                 if isinstance(retry := attempt.action.on_failure, Retry):
                     attempt.progress.rounds = retry.times  # it would fit no better now
