@@ -275,7 +275,7 @@ class Admission:
         return dict(by_plan)
 
     def _end_or_block(self, record: TaskRecord, why: str) -> None:
-        """End what does not fit though no other task runs; what has begun before waits."""
+        """End what does not fit though no other task runs; what has worked waits."""
         now = boot_time()
         for attempt in self._tasks.tries(record):
             if not attempt.is_at_work and not attempt.progress.spent:
