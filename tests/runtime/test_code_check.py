@@ -143,6 +143,12 @@ class Ticking(Component):
     @every(1.0)
     def tick(self): ...
 
+class Thrice(Untyped):
+    scans: Published
+
+    @every(1.0)
+    def tick(self, now): ...
+
 class Misspelt(Component):
     scan: Published["Sacn"]
 """
@@ -418,10 +424,12 @@ def test_a_required_port_has_one_connector(check: Check) -> None:
 def test_tells_every_problem(check: Check) -> None:
     more = (
         'one: {implementation: "PACKAGE.nav:Lacking"}\n'
-        '      two: {implementation: "PACKAGE.nowhere:X"}'
+        '      two: {implementation: "PACKAGE.nowhere:X"}\n'
+        '      three: {implementation: "PACKAGE.nav:Thrice"}'
     )
     problems = check(more, "- {between: [scanner.x, localiser.y]}")
-    assert len(problems) == 4
+    assert len(problems) == 4 + 3
+    assert [p.line for p in problems].count(12) == 3
 
 
 def ring(*classes: str) -> tuple[str, str]:

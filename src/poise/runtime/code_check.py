@@ -91,8 +91,8 @@ def check_code(
             broken.setdefault(_origin(error), []).append((path, component.name, error))
             continue
         ports = _ports(path, component, robot.folder)
-        if isinstance(ports, Finding):
-            findings.append(ports)
+        if isinstance(ports, list):
+            findings += ports
             continue
         if ports or component.implementation:
             known[component.name] = ports
@@ -252,7 +252,7 @@ def _import_finding(same: Sequence[_BrokenImport]) -> Finding:
 
 def _ports(
     path: Path, component: ComponentEntry, folder: str
-) -> dict[str, KnownPort] | Finding:
+) -> dict[str, KnownPort] | list[Finding]:
     """Return the ports that class and robot file declare, or what is wrong."""
     ports, where = dict[str, KnownPort](), (*path, "implementation")
     try:
@@ -262,13 +262,15 @@ def _ports(
             where = (*path, "ports", port.name, port.kind)
             declared = find_type(port.type, folder)
             ports[port.name] = _known(port.name, port.kind, declared)
+    except UsageError as error:
+        return [Finding(where, line) for line in str(error).splitlines()]
     except PoiseError as error:
-        return Finding(where, str(error))
+        return [Finding(where, str(error))]
     # Reading annotations runs the user's code, which may raise anything.
     except Exception as error:  # noqa: BLE001
         said = f"{type(error).__name__}: {error}"
         of = component.implementation or component.name
-        return Finding(where, f"the ports of '{of}' cannot be read: {said}")
+        return [Finding(where, f"the ports of '{of}' cannot be read: {said}")]
     return ports
 
 

@@ -317,12 +317,24 @@ _MARKS = ("__poise_queue__", "__poise_input__", "__poise_timer__")
 
 
 def ports_of(component: type) -> Mapping[str, Port]:
-    """Return the ports of a component class by name; UsageError: it cannot be run."""
+    """Return the ports of a component class by name.
+
+    UsageError: it cannot be run; each line of the message has a reason.
+    """
     hints = get_type_hints(component, include_extras=True)
-    _check_names(component, hints)
-    ports = {}
+    ports: dict[str, Port] = {}
+    if wrong := [*_wrong(component, hints, ports)]:
+        raise UsageError("\n".join(wrong))
+    return ports
+
+
+def _wrong(
+    component: type, hints: Mapping[str, Any], ports: dict[str, Port]
+) -> Iterator[str]:
+    """Yield what is wrong with a component class, and add its ports to `ports`."""
+    yield from _wrong_names(component, hints)
     for name, hint in hints.items():
-        _check_complete(component, name, hint)
+        yield from _incomplete(component, name, hint)
         port = _annotated_port(name, hint, getattr(component, name, None))
         if port is not None:
             ports[name] = port
@@ -330,28 +342,28 @@ def ports_of(component: type) -> Mapping[str, Port]:
         if hasattr(method, "__poise_queue__"):
             port_name, queue = method.__poise_queue__
             if port_name in ports:
-                raise UsageError(
+                yield (
                     f"{component.__qualname__}: two ports are named '{port_name}'; "
                     f"one is subscribed by method '{name}'"
                 )
-            type_ = _message_type(method)
+            type_ = None
+            try:
+                type_ = _message_type(method)
+            except UsageError as error:
+                yield str(error)
             ports[port_name] = Port(port_name, "subscribes", type_, queue, name)
-    for port in ports.values():
-        if port.kind == "provides":
-            _check_provided(component, port)
-    _check_assigned(component)
-    _check_parameters(component, hints.get("parameters"))
-    _check_coroutines(component, ports)
-    _check_calls(component)
+    yield from _wrong_assigned(component)
+    yield from _wrong_parameters(component, hints.get("parameters"))
+    yield from _wrong_coroutines(component, ports)
+    yield from _wrong_calls(component, ports)
     for (event, name), methods in watchers_of(component).items():
         inputs = [port.name for port in ports.values() if port.kind == "subscribes"]
         if name not in inputs:
-            raise UsageError(
+            yield (
                 f"{component.__qualname__}.{methods[0]}: @{event}('{name}') names no "
                 f"subscribed port{did_you_mean(name, inputs)}; there are: "
                 f"{listed(inputs)}"
             )
-    return ports
 
 
 def _functions_of(owner: type) -> Iterator[tuple[str, FunctionType]]:
@@ -364,67 +376,81 @@ def _functions_of(owner: type) -> Iterator[tuple[str, FunctionType]]:
             yield name, found
 
 
-def _check_names(component: type, declared: Container[str]) -> None:
-    """Raise UsageError when a class hides what each component has of Poise."""
+def _wrong_names(component: type, declared: Container[str]) -> Iterator[str]:
+    """Yield what of a class hides what each component has of Poise."""
     for name in _OWN:
         if name in declared or sum(name in vars(c) for c in component.__mro__) > 1:
-            raise UsageError(
+            yield (
                 f"{component.__qualname__}.{name}: each component has a '{name}' of "
                 "Poise's, which this would hide; name it otherwise"
             )
 
 
-def _check_assigned(component: type) -> None:
-    """Raise UsageError when the type of a port was assigned, which declares nothing."""
+def _wrong_assigned(component: type) -> Iterator[str]:
+    """Yield the ports whose type was assigned, which declares nothing."""
     for name in dir(component):
         if _annotated_port(name, getattr(component, name, None), None) is not None:
-            raise UsageError(
+            yield (
                 f"{component.__qualname__}.{name} is no port: write a colon, not an "
                 f"equals sign, as in `{name}: Published[Type]`"
             )
 
 
-def _check_complete(component: type, name: str, hint: object) -> None:
-    """Raise UsageError when a port does not say its type or interface."""
+def _incomplete(component: type, name: str, hint: object) -> Iterator[str]:
+    """Yield that a port does not say its type or interface."""
     kinds = {"Published": Published, "Provided": Provided, "Required": Required}
     for kind, bare in kinds.items():
         if hint == bare:
             what = "message" if kind == "Published" else "interface"
-            raise UsageError(
+            yield (
                 f"{component.__qualname__}.{name} does not say which {what} it has; "
                 f"write its type in brackets, as in `{name}: {kind}[Type]`"
             )
 
 
-def _check_parameters(component: type, declared: object) -> None:
-    """Raise UsageError when no value can be checked against a class of parameters."""
+def _wrong_parameters(component: type, declared: object) -> Iterator[str]:
+    """Yield that no value can be checked against a class of parameters."""
     if not isinstance(declared, type) or declared is Any:
         return
     if not issubclass(declared, Struct | Mapping):
-        raise UsageError(
+        yield (
             f"{component.__qualname__}: `parameters: {declared.__qualname__}` declares "
             "nothing; let that class inherit from poise.Message"
         )
 
 
-def _check_coroutines(component: type, ports: Mapping[str, Port]) -> None:
-    """Raise UsageError when a method that Poise calls would not run at all then."""
+def _wrong_coroutines(component: type, ports: Mapping[str, Port]) -> Iterator[str]:
+    """Yield the methods that Poise calls and that would not run at all then."""
     provided = [port.type for port in ports.values() if port.kind == "provides"]
     called = {*_HOOKS, *_STATE_HOOKS, *chain.from_iterable(map(methods_of, provided))}
     for name, method in _functions_of(component):
         is_called = name in called or any(hasattr(method, mark) for mark in _MARKS)
         if is_called and method.__code__.co_flags & _RUNS_LATER:
-            raise UsageError(
+            yield (
                 f"{component.__qualname__}.{name}: Poise calls it and awaits nothing; "
                 "write it without `async` and `yield`"
             )
 
 
-def _check_calls(component: type) -> None:
-    """Raise UsageError when a method cannot be called as Poise does."""
+def _wrong_calls(component: type, ports: Mapping[str, Port]) -> Iterator[str]:
+    """Yield the methods that are not there, or cannot be called as Poise does."""
     watchers = chain.from_iterable(watchers_of(component).values())
-    for name in ("__init__", *_HOOKS, *_STATE_HOOKS, *timers_of(component), *watchers):
-        check_takes(component, name, [_TAKE[name]] if name in _TAKE else [])
+    own = ("__init__", *_HOOKS, *_STATE_HOOKS, *timers_of(component), *watchers)
+    called = [(name, [_TAKE[name]] if name in _TAKE else []) for name in own]
+    for port in ports.values():
+        if port.kind == "provides":
+            missing = [m for m in methods_of(port.type) if not hasattr(component, m)]
+            if missing:
+                yield (
+                    f"{component.__qualname__} provides {port.name}: "
+                    f"{port.type.__qualname__}, but has no method {', '.join(missing)}"
+                )
+            called += _provided_calls(port.type)
+    for name, arguments in called:
+        try:
+            check_takes(component, name, arguments)
+        except UsageError as error:
+            yield str(error)
 
 
 def watchers_of(component: type) -> Mapping[tuple[InputEvent, str], list[str]]:
@@ -485,15 +511,10 @@ def _message_type(method: Callable[..., Any]) -> Any:  # noqa: ANN401, any type
     return hints[names[0]]
 
 
-def _check_provided(component: type, port: Port) -> None:
-    missing = [m for m in methods_of(port.type) if not hasattr(component, m)]
-    if missing:
-        raise UsageError(
-            f"{component.__qualname__} provides {port.name}: "
-            f"{port.type.__qualname__}, but has no method {', '.join(missing)}"
-        )
-    for name in methods_of(port.type):
-        signature = inspect.signature(getattr(port.type, name))
+def _provided_calls(interface: type) -> Iterator[tuple[str, list[str]]]:
+    """Yield methods with the names of their arguments, where each has a place."""
+    for name in methods_of(interface):
+        signature = inspect.signature(getattr(interface, name))
         own = list(signature.parameters.values())[1:]
-        if all(p.kind <= p.POSITIONAL_OR_KEYWORD for p in own):  # has a place
-            check_takes(component, name, [p.name for p in own])
+        if all(p.kind <= p.POSITIONAL_OR_KEYWORD for p in own):
+            yield name, [p.name for p in own]
