@@ -78,6 +78,8 @@ class Desired(Struct, frozen=True, kw_only=True):
     parameters: Mapping[str, Mapping[str, Any]] = {}
     # component -> its code, if that is not the robot file's
     other_code: Mapping[str, OtherCode] = {}
+    # architecture that crashed wherever it may run -> its code then
+    crashed: Mapping[str, str] = {}
     # component that is not placed -> its epoch when it ended
     ended: Mapping[str, int] = {}
     # what may be at work yet, though it is to end: its agent has not said that it has

@@ -258,6 +258,7 @@ class DesiredState:
                     tasks=desired.tasks,
                     parameters=desired.parameters,
                     other_code=desired.other_code,
+                    crashed=desired.crashed,
                     ended=desired.ended,
                     left_behind=tuple(self._unleased(desired.left_behind)),
                 )

@@ -169,6 +169,7 @@ def _go_on(
         held=held,
         parameters={**changed_parameters(reported), **record.parameters},
         other_code=other,
+        crashed=record.crashed,
         ended={**record.ended, **last},
         left_behind=(*record.left_behind, *ends),
     )

@@ -40,6 +40,10 @@ FORGET_AFTER = 600.0
 DOUBT_AFTER = 60.0
 """For this time [s] after it may start again, what it needed last counts; then it is
 tried with what it needs by the robot file, for what it needed may have passed."""
+_CRASHED = (
+    "it crashed again and again wherever it may run; it is resumed when its code "
+    "changes, or by `poise balance`"
+)
 _LOOK_AT_CODE = 2.0
 """Whether the code of what crashed is another is looked at so often [s]."""
 
@@ -57,7 +61,6 @@ class Suspensions:
         self._inputs: tuple[Robot, AbstractSet[str], tuple[Task, ...]] | None = None
         self._not_running: list[Architecture] = []
         self._stays: dict[str, Backoff] = {}
-        self._crashed: dict[str, str] = {}
         self._look_at_code = 0.0
         self._has_news = False
         self.suspended_with_task: set[str] = set()
@@ -111,15 +114,15 @@ class Suspensions:
 
     def quarantine(self, name: str) -> None:
         """Take an architecture that crashes back only with other code, or `release`."""
-        architecture = self._live.robot.architecture(name)
-        self._crashed[name] = self._code_of(architecture)
+        code, crashed = self._code_of(name), self._live.desired.crashed
+        self._note_crashed({**crashed, name: code}, f"'{name}' crashes again and again")
 
     def release(self) -> None:
         """Take back soon what fits, also what crashed: a person asked for it."""
-        for name in self._crashed:
+        for name in self._live.desired.crashed:
             what = f"architecture '{name}' may start again, though it crashed"
             self._live.journal.note("decided", what)
-        self._crashed.clear()
+        self._note_crashed({}, "a person asked for it")
         for stay in self._stays.values():
             stay.reset()
         self._has_news = True
@@ -138,7 +141,8 @@ class Suspensions:
         for name, function in suspended.items():
             if function not in known:
                 known.add(function)
-                self._add(name, self._why or "it does not run")
+                why = _CRASHED if name in live.desired.crashed else self._why
+                self._add(name, why or "it does not run")
 
     def functions(self) -> frozenset[str]:
         """Return the functions of what is suspended."""
@@ -154,7 +158,8 @@ class Suspensions:
         """Return what may be started again, the highest priority first."""
         self._release_mended(now)
         stay = {name for name, each in self._stays.items() if now < each.again_at}
-        return [a for a in self._suspended() if a.name not in stay | {*self._crashed}]
+        stay |= self._live.desired.crashed.keys()
+        return [a for a in self._suspended() if a.name not in stay]
 
     def doubtful(self, now: float) -> frozenset[str]:
         """Return the suspended components whose last demand is believed no more."""
@@ -182,16 +187,25 @@ class Suspensions:
         if now < self._look_at_code:
             return
         self._look_at_code = now + _LOOK_AT_CODE
-        for name, code in list(self._crashed.items()):
-            if self._code_of(self._live.robot.architecture(name)) != code:
-                del self._crashed[name]
-                self._has_news = True
+        for name, code in self._live.desired.crashed.items():
+            if self._code_of(name) != code:
+                left = {
+                    n: c for n, c in self._live.desired.crashed.items() if n != name
+                }
                 what = f"the code of architecture '{name}' has changed"
                 self._live.journal.note("seen", what)
+                self._note_crashed(left, what)
+                self._has_news = True
 
-    def _code_of(self, architecture: Architecture) -> str:
-        folders = self._live.robot.folders
-        return " ".join(version_of(c, *folders) for c in architecture.components)
+    def _note_crashed(self, crashed: Mapping[str, str], why: str) -> None:
+        """Let this manager and the next one know what crashed wherever it may run."""
+        self._live.commit(structs.replace(self._live.desired, crashed=crashed), why)
+
+    def _code_of(self, name: str) -> str:
+        """Return the code of an architecture; empty: the robot file has it no more."""
+        robot = self._live.robot
+        found = (a.components for a in robot.architectures if a.name == name)
+        return " ".join(version_of(c, *robot.folders) for c in next(found, ()))
 
     def _suspended(self) -> list[Architecture]:
         """Return what does not run; worked out when what that depends on changes."""

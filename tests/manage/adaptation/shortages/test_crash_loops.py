@@ -9,6 +9,7 @@ from msgspec.structs import replace
 
 from poise.manage.adaptation.loop import Adaptation
 from poise.manage.adaptation.situation import Situation
+from poise.manage.deploy.takeover import start_or_take_over
 from poise.manage.shortages.suspension import CALM
 from poise.model.robot import Architecture, ComponentEntry, Computer, Robot
 from poise.wire.records.status_records import AgentStatus, ContainerHealth, Fault
@@ -105,6 +106,26 @@ def test_what_crashes_everywhere_is_put_aside_and_stays_so() -> None:
     robbed.crashing = set()
     robbed.look(1000, 10.0)
     assert robbed.run.placement() == HIGH
+
+
+def test_what_was_put_aside_stays_so_under_the_next_manager() -> None:
+    robbed = Crashing(robot_with())
+    robbed.crashing = {"left", "right"}
+    robbed.look(2)
+    robbed.run.commit(replace(robbed.run.desired, tasks=b"some"), "tasks go on")
+    follower = Crashing(robot_with())
+    for computer, told in robbed.agents.deployed[-2:]:
+        follower.agents.begin_deploy(computer, told)
+    start_or_take_over(follower.run)
+    follower.suspensions.record()
+    (deviation,) = follower.suspensions.deviations()
+    assert "it crashed again and again wherever it may run" in deviation.what
+    follower.look(100, 10.0)
+    assert follower.run.placement() == HIGH
+    follower.loop.balance(0.0, dry=False)
+    follower.look(2, CALM)
+    assert follower.run.placement().keys() == {"high", "low"}
+    assert not follower.run.desired.crashed
 
 
 def test_what_could_not_be_tried_elsewhere_is_not_held_to_crash_there() -> None:
