@@ -137,6 +137,41 @@ def test_what_comes_and_goes_is_said_once() -> None:
     assert rig.loop.deviations == ()
 
 
+def test_a_status_has_the_present_figures_of_what_is_wrong() -> None:
+    """It said for ever "missed 3 of 8", as of the first look."""
+    rig = Rig()
+    seen, read = rig.robbed.situation(0.0, "a"), list[Situation]()
+    rig.loop._read = lambda: read[-1]
+    for missed in 3, 9:
+        (late,) = (replace(timer, missed=missed) for timer in seen.misses)
+        read.append(replace(seen, misses=(late,)))
+        for _ in range(2):
+            rig.loop.adapt()
+            rig.clock.sleep(0.5)
+    (deviation,) = rig.loop.deviations
+    assert "missed 9 of" in deviation.what
+    said = [e.what for e in rig.robbed.journal.entries() if e.kind == "wrong"]
+    assert ["missed 3 of" in what for what in said if "timer" in what] == [True]
+
+
+def test_what_a_move_has_mended_is_over_at_once() -> None:
+    """A status said for 5 s more that it is late where it was before."""
+    rig = Rig()
+    statuses = rig.robbed.run.current()
+    late = replace(rig.robbed.situation(0.0, "high"), statuses=statuses)
+    well = replace(late, misses=(), placement={**late.placement, "high": "right"})
+    read = list[Situation]()
+    rig.loop._read = lambda: read[-1]
+    for situation, is_wrong in (late, True), (well, False):
+        read.append(situation)
+        for _ in range(3):
+            rig.loop.adapt()
+            rig.clock.sleep(0.3)
+        assert bool(rig.loop.deviations) == is_wrong
+    said = [e.what for e in rig.robbed.journal.entries() if e.kind == "right"]
+    assert any("'high' on 'left' missed" in what for what in said)
+
+
 def test_a_change_that_fails_backs_off_and_lets_the_next_act() -> None:
     def fail() -> None:
         raise KeyError("odd")

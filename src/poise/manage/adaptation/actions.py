@@ -96,7 +96,7 @@ class Actions:
 
     def _move(self, symptom: Symptom, situation: Situation) -> None:
         policy, live, now = symptom.policy, self._live, situation.now
-        component, target = _component(symptom), policy.to or ""
+        component, target = component_of(symptom), policy.to or ""
         source = situation.placement.get(component, "")
         check_links(situation, component, target)
         if not policy.force:
@@ -126,7 +126,7 @@ class Actions:
         if symptom.policy.for_each == "container":
             components = _components_in(live, symptom)
         else:
-            components = [_component(symptom)]
+            components = [component_of(symptom)]
         steps = []
         for name in sorted(components):
             if (at := situation.placement.get(name)) is None:
@@ -148,7 +148,7 @@ class Actions:
             for component in architecture.components:
                 there = placed.get(component.name) if is_container else None
                 inside = there and self._live.layout.container_of(there)
-                if component.name == _component(symptom) or name == inside:
+                if component.name == component_of(symptom) or name == inside:
                     return architecture
         raise UsageError(f"no architecture has '{name}'")
 
@@ -224,14 +224,14 @@ def _raise_on_failure(report: MigrationReport | TransitionReport) -> None:
         raise RunError(report.reason)
 
 
-def _component(symptom: Symptom) -> str:
+def component_of(symptom: Symptom) -> str:
     """Return the component that a symptom is about: its own, or that of a timer."""
     return getattr(symptom.values, "component", symptom.values.name)
 
 
 def _is_there(symptom: Symptom, situation: Situation) -> bool:
     """Return whether a component to be moved is where it should be."""
-    where = situation.placement.get(_component(symptom))
+    where = situation.placement.get(component_of(symptom))
     return symptom.policy.do == "move" and where == symptom.policy.to
 
 

@@ -16,7 +16,7 @@ from msgspec.structs import replace
 
 from poise.clock import wall_time
 from poise.errors import PoiseError, UsageError, last_error
-from poise.manage.adaptation.actions import Actions
+from poise.manage.adaptation.actions import Actions, component_of
 from poise.manage.adaptation.bad_links import check_links
 from poise.manage.adaptation.move_forecast import alternatives, check_move, what_if
 from poise.manage.adaptation.placement_responders import (
@@ -25,7 +25,7 @@ from poise.manage.adaptation.placement_responders import (
     Transitions,
     UseAgainResponder,
 )
-from poise.manage.adaptation.policies import Key, Policies, saw
+from poise.manage.adaptation.policies import Key, Policies, Symptom, saw
 from poise.manage.adaptation.policy_values import values_of
 from poise.manage.adaptation.proposal import propose
 from poise.manage.adaptation.situation import Responder, Situation
@@ -50,7 +50,8 @@ _WELL_EVERY = 0.5
 class _Reported(Struct):
     """A symptom that was reported, and when its condition held last [s]."""
 
-    deviation: Deviation
+    symptom: Symptom  # as it was first
+    deviation: Deviation  # as it was last
     held_at: float
 
 
@@ -193,18 +194,22 @@ class Adaptation:
             # a computer that is out of reach is reported as such (`LostComputers`)
             is_loss = symptom.policy.do == "fail over"
             is_loss = is_loss and symptom.values.name in situation.lost
-            if symptom.key not in self._reported and not is_loss:
+            known = self._reported.get(symptom.key)
+            if known is not None:
+                known.deviation = replace(known.deviation, what=symptom.what)
+            elif not is_loss:
                 deviation = Deviation(
                     what=symptom.what, computer=symptom.computer, since=wall_time()
                 )
-                self._reported[symptom.key] = _Reported(deviation, now)
+                self._reported[symptom.key] = _Reported(symptom, deviation, now)
                 note("wrong", symptom.what, policies=saw([symptom]))
         holding = self._policies.since
         for key, reported in sorted(self._reported.items()):
             if key in holding:
                 reported.held_at = now
-            elif now - reported.held_at >= CALM:
-                note("right", self._reported.pop(key).deviation.end())
+            elif now - reported.held_at >= CALM or _has_left(reported, situation):
+                del self._reported[key]
+                note("right", f"no more: {reported.symptom.what}")
         hangs = self._reported.keys() & holding.keys()
         self.hanging = tuple(sorted(key[1] for key in hangs if key[0] == "hang"))
         self.deviations = (
@@ -226,6 +231,14 @@ class Adaptation:
             self._troubles[name] = trouble, deviation
         for name in before.keys() - troubles.keys():
             note("right", before[name][1].end())
+
+
+def _has_left(reported: _Reported, situation: Situation) -> bool:
+    """Return whether what was wrong with a component was so where it is no more."""
+    symptom = reported.symptom
+    if symptom.policy.for_each not in {"component", "timer"}:
+        return False
+    return situation.placement.get(component_of(symptom)) != symptom.computer
 
 
 def _short(trouble: str) -> str:
