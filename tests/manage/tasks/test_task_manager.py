@@ -871,6 +871,8 @@ def test_the_limit_of_an_action_goes_on_under_the_next_manager(boot: str) -> Non
 
 def test_tasks_of_another_version_are_dropped_and_what_was_asked_for_begins() -> None:
     rig = Rig(robot_with(task("t", act("a", "see")), task("u", act("b", "go"))), "t")
+    rig.agents.requests["seeer"] = (TaskRequest(number=1, verb="pause", task="u"),)
+    rig.manager.advance()
     saved = msgspec.to_builtins(rig.manager.tasks.saved)
     saved["records"][0]["progress"]["inside"][0]["heard"] = [1, 2]
     kept = msgspec.msgpack.encode(saved)
@@ -879,6 +881,7 @@ def test_tasks_of_another_version_are_dropped_and_what_was_asked_for_begins() ->
     asked = Tasks(rig.robot)
     asked.start("u", 0.0)
     assert goes_on_with(rig.run, asked, rig.journal) is asked.saved
+    assert asked.saved.heard == {"seeer": {0: 1}}
     why = "Expected `int`, got `array` - at `$.records[0].progress.inside[0].heard`"
     said = f"the previous manager's tasks cannot be read, and are dropped: {why}"
     assert said in rig.said()

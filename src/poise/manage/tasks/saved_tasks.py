@@ -10,7 +10,7 @@ from poise.errors import UsageError
 from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.journal import Journal
 from poise.manage.tasks.concurrent_tasks import Tasks
-from poise.manage.tasks.task_progress import Saved
+from poise.manage.tasks.task_progress import Heard, Saved
 from poise.manage.tasks.task_reports import OVER
 from poise.wire.codec import MALFORMED
 
@@ -27,6 +27,9 @@ def goes_on_with(live: LiveRobot, asked: Tasks, journal: Journal) -> Saved:
             "failed",
             f"the previous manager's tasks cannot be read, and are dropped: {error}",
         )
+        with contextlib.suppress(*MALFORMED):  # or it would be heard again
+            heard = from_msgpack(live.desired.tasks, Heard).heard
+            asked.saved.heard.update(heard)
         return asked.saved
     tasks = Tasks(live.robot, lambda text: note("decided", text), saved=saved)
     for record in list(tasks.records):

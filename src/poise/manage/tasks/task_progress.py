@@ -80,13 +80,18 @@ class TaskRecord(Struct, kw_only=True):
     progress: Progress
 
 
-class Saved(Struct, kw_only=True):
+class Heard(Struct, kw_only=True):
+    """Which requests of components were heard."""
+
+    heard: dict[str, dict[int, int]] = {}  # as in `ComponentReports`
+
+
+class Saved(Heard, kw_only=True):
     """All that the next manager needs to go on with the tasks."""
 
     records: list[TaskRecord] = []
     number: int = 0
     boot: str = ""  # the `poise.clock.boot_id` by whose clock times in `Progress` are
-    heard: dict[str, dict[int, int]] = {}  # as in `ComponentReports`
 
 
 class ActionEnded(Struct, frozen=True):
