@@ -110,7 +110,8 @@ class BackgroundWriter(Generic[T]):
             try:
                 self.write(records)
             except (OSError, RunError) as error:
-                self._note(str(getattr(error, "strerror", "") or error))
+                cause = error.__cause__ or error  # which does not name the file
+                self._note(str(getattr(cause, "strerror", "") or error))
                 with self._changed:
                     if self._is_closing:
                         break

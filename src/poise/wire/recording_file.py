@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import base64
 import contextlib
+import errno
 import json
 import logging
 import os
@@ -114,12 +115,12 @@ class McapFile:
             self._check_room()
             self._writer.start(profile="", library=_LIBRARY)
             self._writer.add_metadata(_LIBRARY, {"robot": robot})
-            self.flush()
-        except RunError as error:
+            self._writer.flush()
+        except OSError as error:
             with contextlib.suppress(OSError):
                 self._file.close()
             path.unlink()
-            raise UsageError(str(error)) from error
+            raise UsageError(str(self._unwritten(error))) from error
 
     def add(
         self,
@@ -143,8 +144,8 @@ class McapFile:
         with self._lock:
             if self._file.closed:
                 raise RunError(f"{self.path} is closed")
-            self._check_room()
             try:
+                self._check_room()
                 if topic not in self._channels:
                     self._channels[topic] = self._writer.register_channel(
                         topic, encoding, self._schema(schema), {"name": name}
@@ -215,10 +216,8 @@ class McapFile:
         disk = os.fstatvfs(self._file.fileno())
         free = disk.f_bavail * disk.f_frsize
         if free < _KEPT_FREE:
-            raise RunError(
-                f"{self.path}: the disk is full: {format_bytes(free)} are left, and "
-                f"{format_bytes(_KEPT_FREE)} stay free"
-            )
+            why = f"{format_bytes(free)} are left, and {format_bytes(_KEPT_FREE)}"
+            raise OSError(errno.ENOSPC, f"the disk is full: {why} stay free")
 
     def _unwritten(self, error: OSError) -> RunError:
         return RunError(f"{self.path} cannot be written: {error.strerror}")

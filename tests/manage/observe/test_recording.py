@@ -124,7 +124,9 @@ def test_a_full_disk_costs_records_and_not_the_robot(
         recorder.add(sample(number))
     recorder.close()
     assert recorder.missing == 5
-    assert "the disk is full" in recorder.trouble
+    assert recorder.trouble.startswith(
+        f"the recording {tmp_path / 'it'} cannot be written: the disk is full: "
+    )
     assert str(recorder).startswith("recorded 0 samples to ")
     assert str(recorder).endswith("lacks 5 records")
     assert not list(samples_of(tmp_path / "it"))

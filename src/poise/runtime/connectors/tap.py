@@ -373,7 +373,7 @@ class InputFile:
             return
         self._size += len(body) + len(buffers)
         if self._size > MOST_RECORDED:
-            self._end(f"the limit of {MOST_RECORDED} B is reached")
+            self._end(f"the limit of {MOST_RECORDED} B is reached in {self._file.path}")
             return
         tag = None if received.kind is FrameKind.MESSAGE else received.tag
         if tag is None and received.tag == self._numbered:
@@ -389,7 +389,7 @@ class InputFile:
 
     def _end(self, why: str) -> None:
         self._has_ended = True
-        log.warning("%s: nothing more is recorded: %s", self._file.path, why)
+        log.warning("nothing more is recorded: %s", why)
 
     def close(self) -> None:
         """Close the file, as far as its disk has room; harmless when repeated."""
