@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import math
 
 import pytest
 import typer
 
 from poise.cli.running_robot_command import balance_command, move_command
+from poise.errors import UsageError
 from poise.manage.control_socket.commands import Rebalanced
 from poise.manage.migration.migration_report import (
     MigrationReport,
@@ -37,6 +39,12 @@ def test_why_it_was_called_off_is_told_as_it_is(
     with pytest.raises(typer.Exit):
         balance_command()
     assert f"rolled back: {WHY}" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("cost", [-1.0, 1e40, math.inf, math.nan])
+def test_refuses_a_cost_that_is_no_cost(cost: float) -> None:
+    with pytest.raises(UsageError, match=r"--cost .*: must be a number from 0 to 1e"):
+        balance_command(cost=cost)
 
 
 def test_says_how_much_of_f_is_for_the_moves(

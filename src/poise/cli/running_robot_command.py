@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import signal
 import sys
@@ -35,6 +34,7 @@ from poise.units import SECONDS
 
 TELL_EVERY = 1.0
 """How often it says what is under way [s]."""
+_MOST_COST = 1e9
 GOES_ON = "what has begun goes on (`poise status`, `poise journal`)"
 _LAST_ANSWER = 15.0
 """What it asked last is answered, or refused, within this time [s]."""
@@ -232,8 +232,8 @@ def balance_command(
 
     Example: poise balance --dry-run
     """
-    if not (math.isfinite(cost) and cost >= 0):
-        raise UsageError(f"--cost {cost:g}: must be a number, 0 or more")
+    if not 0 <= cost <= _MOST_COST:
+        raise UsageError(f"--cost {cost:g}: must be a number from 0 to {_MOST_COST:g}")
     running = Running(robot)
     with telling_progress(running, "nothing changes" if dry else GOES_ON):
         _act(lambda: running.balance(cost=cost, dry_run=dry), as_json=as_json)
