@@ -313,6 +313,22 @@ def test_a_container_that_ends_is_started_again_with_a_delay_that_grows() -> Non
     assert [fault.container for fault in world.status.faults] == ["see", "see"]
 
 
+def test_a_robot_that_starts_has_no_faults_of_the_one_that_was_stopped() -> None:
+    world = World()
+    world.deploy("see")
+    world.core.on_ended(100, EXIT_1)
+    world.run(1.0)
+    world.core.on_born("see", 101)
+    assert world.ask(Deployment(generation=2, containers=(), is_last=True))
+    world.run(1.0)
+    world.core.on_ended(101, EXIT_1)
+    world.run(1.0)
+    assert [each.state for each in world.status.health] == ["stopped"]
+    assert world.ask(Deployment(generation=3, containers=specs("go")))
+    world.run(1.0)
+    assert [each.name for each in world.status.health] == ["go"]
+
+
 def test_a_report_that_only_counts_on_waits_for_the_next_status() -> None:
     world = World()
     world.deploy("see")

@@ -117,6 +117,10 @@ class HealthRecords:
         elif known is not None:
             self.enter(container, "stopped")
 
+    def forget_stopped(self) -> None:
+        """Record that what runs from now on is another robot, or the same anew."""
+        self._of = {n: each for n, each in self._of.items() if each.state != "stopped"}
+
     def how_ended(self, container: str) -> str:
         """Return how a container ended that is not started again yet, for people."""
         known = self._of.get(container)

@@ -93,6 +93,8 @@ class Supervisor:
         `is_left`: an earlier agent left it on its disk, which may be late. Containers
         that go on know better, and what starts may run elsewhere by now.
         """
+        if self.wanted and self.wanted.is_last and not wanted.is_last:
+            self.health.forget_stopped()
         self.wanted, self._is_left = wanted, is_left
         names = self._specs().keys()
         self._backoffs = {n: b for n, b in self._backoffs.items() if n in names}
