@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
+import pytest
 from msgspec.structs import replace
 
 from poise.manage.deploy.adoption import Adoption, adopt, found_in, is_half_done
 from poise.manage.deploy.deployment_layout import DeploymentLayout
 from poise.manage.deploy.desired import Desired, Incarnation
-from poise.model.robot import Architecture, ComponentEntry, Robot
+from poise.model.robot import Architecture, Chain, ComponentEntry, Robot
 from poise.wire.records.deployment_records import Deployment, Goal
 
 GATEWAYS = {"left": "left:7000", "right": "right:7000"}
@@ -124,6 +125,43 @@ def test_what_the_file_says_differently_restarts_and_nothing_else(
         "its parameters changed from {} to {'depth': 3}"
         in (adoption.restarts["thinker"])
     )
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"environment": {"A": "1"}}, "environment changed from {} to {'A': '1'}"),
+        ({"checkpoint": 2.0}, "checkpoint changed from 0.0 to 2.0"),
+        ({"restart_when_hung": 5.0}, "restart_when_hung changed from 0.0 to 5.0"),
+        ({"only": ("right",)}, "it may no longer run elsewhere"),
+    ],
+)
+def test_what_it_was_made_with_restarts_it(
+    robot: Robot, changes: dict[str, object], said: str
+) -> None:
+    now = with_thinker(robot, **changes)
+    assert said in adopted(robot, GRABBER, THINKER, now=now).restarts["thinker"]
+
+
+def test_another_deadline_of_a_chain_restarts_its_components(robot: Robot) -> None:
+    chain = Chain(name="see", through=("grabber", "thinker"), deadline=0.2)
+    before = replace(robot, chains=(chain,))
+    now = replace(robot, chains=(replace(chain, deadline=0.1),))
+    restarts = adopted(before, GRABBER, THINKER, now=now).restarts
+    assert restarts == {"thinker": "its chains or their deadlines changed"}
+
+
+def test_another_limit_of_calls_restarts_the_caller(robot: Robot) -> None:
+    (first, *rest) = robot.connectors
+    now = replace(robot, connectors=(replace(first, limit=5.0), *rest))
+    source = Incarnation(component="filter", computer="left")
+    restarts = adopt(
+        found_in(told(robot, source, THINKER)),
+        now,
+        DeploymentLayout(now, "/run", code_version=lambda *_: ""),
+        {"filter": "left", "thinker": "right"},
+    ).restarts
+    assert restarts == {"filter": f"the limit of {first} changed from 0.3 s to 5 s"}
 
 
 def test_a_class_that_replaced_the_one_of_the_file_goes_on(robot: Robot) -> None:

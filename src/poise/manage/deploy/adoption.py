@@ -28,6 +28,7 @@ class ReportedIncarnation(Struct, frozen=True, kw_only=True):
     container: str
     folder: str  # where its implementation is imported from, or a version of code
     code: str = ""  # as of an `Incarnation`
+    limits: Mapping[str, float] = {}  # connector -> the time limit of its calls [s]
 
     @property
     def name(self) -> str:
@@ -81,6 +82,9 @@ def found_in(deployments: Mapping[str, Deployment]) -> list[ReportedIncarnation]
             folder=container.code or container.folder,
             # the component's own is that of the robot
             code=container.code if container.code != spec.code else "",
+            limits={
+                c.name: c.limit for c in container.connectors if c.source == spec.name
+            },
         )
         for computer, deployment in sorted(deployments.items())
         for container in deployment.containers
@@ -277,13 +281,33 @@ def _has_other_code(
     return is_changed or reported.folder != here
 
 
+_FROM_THE_FILE = {
+    "implementation": "implementation",
+    "command": "command",
+    "environment": "environment",
+    "parameters": "parameters",
+    "devices": "devices",
+    "checkpoint": "checkpoint",
+    "restart_when_hung": "restart_when_hung",
+    "ends": "ports that end actions",
+}
+"""What a component is made with, by its field of a `ComponentSpec`."""
+
+
 def _changes(
     reported: ReportedIncarnation, now: ComponentSpec, layout: DeploymentLayout
 ) -> Iterator[str]:
-    for what in ("implementation", "command", "parameters", "devices"):
-        before, after = getattr(reported.spec, what), getattr(now, what)
+    for field, what in _FROM_THE_FILE.items():
+        before, after = getattr(reported.spec, field), getattr(now, field)
         if before != after:
             yield f"its {what} changed from {before!r} to {after!r}"
+    if reported.spec.chains != now.chains:
+        yield "its chains or their deadlines changed"
+    if reported.spec.leased != now.leased:
+        yield f"it may {'now' if now.leased else 'no longer'} run elsewhere"
+    for name, limit in layout.limits_from(reported.name).items():
+        if (before := reported.limits.get(name, limit)) != limit:
+            yield f"the limit of {name} changed from {before:g} s to {limit:g} s"
     container = layout.container_of(reported.incarnation)
     if reported.container != container:
         yield f"its container changed from '{reported.container}' to '{container}'"

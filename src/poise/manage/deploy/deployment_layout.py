@@ -162,6 +162,14 @@ class DeploymentLayout:
             if any(end.component in components for end in connector.between)
         ]
 
+    def limits_from(self, component: str) -> dict[str, float]:
+        """Return connector -> time limit of its calls [s], of those that begin there."""
+        return {
+            str(connector): connector.limit
+            for connector in self._joinable
+            if connector.between[0].component == component
+        }
+
     def slot_of(self, connector: Connector) -> str:
         """Return what the source calls its end: alike for an alternative's connector.
 
