@@ -129,7 +129,7 @@ class PendingMigration:
         return f"{self._report.way} has been in preparation for {since:.0f} s: {waits}"
 
     def run(self) -> MigrationReport:
-        """Migrate, or not; never raises for what goes wrong on the way."""
+        """Migrate, or not, as `Migration.run` says."""
         self._runs = True
         configured = time.monotonic() - self._began if self._began else 0.0
         if self._reason:

@@ -248,9 +248,9 @@ def every(
 ) -> Callable[[F], F]:
     """Call a method again and again while the component is active.
 
-    Releases keep their phase: they lie at multiples of `period` after activation. When
-    releases pass while the method still runs, the last of them is run at once
-    afterwards; the others are skipped.
+    Releases keep their phase: they lie at multiples of `period` after a moment that
+    follows from the component's name. When releases pass while the method still runs,
+    the last of them is run at once afterwards; the others are skipped.
 
     Parameters
     ----------
