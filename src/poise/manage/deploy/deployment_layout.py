@@ -163,7 +163,7 @@ class DeploymentLayout:
         ]
 
     def limits_from(self, component: str) -> dict[str, float]:
-        """Return connector -> time limit of its calls [s], of those that begin there."""
+        """Return connector -> time limit of its calls [s], where it begins there."""
         return {
             str(connector): connector.limit
             for connector in self._joinable
