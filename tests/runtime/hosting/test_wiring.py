@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Protocol
 
@@ -175,6 +176,31 @@ def test_a_call_to_a_busy_component_times_out(pair: Pair) -> None:
     target_runner.exclusion.resume()
     wait_until(lambda: _answers(source))
     target.go_on.set()
+
+
+@every_kind
+def test_what_has_failed_holds_up_nobody_and_keeps_nothing(pair: Pair) -> None:
+    class Failing(Target):
+        def activate(self) -> None:
+            raise LookupError("no camera")
+
+    pair.run("target", Failing)
+    source = pair.run("source", Source)
+    for port in ("sums", "scan", "latest"):
+        pair.join(port)
+    with pytest.raises(AssertionError, match="failed"):
+        pair.activate()
+    pair.runners["source", 0].aim("active")
+    began = time.monotonic()
+    for number in range(20):
+        source.scan.publish(scan(number))
+        source.latest.publish(scan(number))
+        source.sums.note("anyone?")
+    with pytest.raises(Unavailable, match="component 'target' has failed"):
+        source.sums.add(1, 2)
+    assert time.monotonic() - began < LIMIT
+    wait_until(lambda: pair.drops() == 60)
+    assert list(pair.runners["target", 0].endpoints.mailbox.waiting()) == []
 
 
 @every_kind

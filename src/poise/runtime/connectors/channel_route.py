@@ -242,7 +242,8 @@ class ReceivingEnd(Struct, frozen=True, kw_only=True):
 
     def _serving(self, tell: Callable[[object], object]) -> Callable[[Frame], Pieces]:
         """Return a function that answers calls."""
-        port, clock, counts = self.port, self.remote_clock, self.feed.counts
+        port, target = self.port, self.target
+        clock, counts = self.remote_clock, self.feed.counts
         answers = {
             tag: self._answering(method) for tag, method in _methods(port).items()
         }
@@ -254,6 +255,8 @@ class ReceivingEnd(Struct, frozen=True, kw_only=True):
                 answer = answered(received, clock.most)
             except Redirected:
                 answer = segments(_NOTHING, None, _MOVED)
+                if target.failure:
+                    answer = _failure(Unavailable(target.failure))
             except (CalleeError, LeaseEnded, Timeout, WireError) as error:
                 if isinstance(error, WireError):
                     tell(error)
@@ -338,7 +341,7 @@ def _raise_failure(answer: Frame) -> NoReturn:
     raise error
 
 
-def _failure(error: CalleeError | LeaseEnded | Timeout | WireError) -> Pieces:
+def _failure(error: CalleeError | Timeout | Unavailable | WireError) -> Pieces:
     if isinstance(error, CalleeError):
         return frame.failure(error.type_name, error.message, error.traceback)
     kind = Unavailable if isinstance(error, LeaseEnded) else type(error)

@@ -72,6 +72,7 @@ class ComponentEndpoints:
             if port.kind in {"subscribes", "provides"}
         }
         self.mailbox = Mailbox(queues, counters)
+        self.failure = ""
         self.overtaken = OvertakenSources()
         self.heard: dict[str, Heard] = {name: {} for name in queues}
         self.latest = LatestMessages(
@@ -153,6 +154,11 @@ class ComponentEndpoints:
         """Send what was buffered; harmless when repeated."""
         for sender in list(self.senders.values()):
             sender.send_buffered()
+
+    def fail(self) -> None:
+        """Drop and count what comes from now on, and let no caller wait."""
+        self.failure = f"component '{self._name}' has failed"
+        self.mailbox.close()
 
     def _disconnect(self, port: Port) -> None:
         if port.kind == "publishes":

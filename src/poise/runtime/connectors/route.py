@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NoReturn, Protocol
 
-from poise.errors import CalleeError, said
+from poise.errors import CalleeError, Unavailable, said
 from poise.runtime import _calls
 from poise.runtime.component.error_report import traceback_of
 from poise.runtime.component.ports import Port
@@ -91,6 +91,9 @@ class DirectRoute(Route):
         """Return a function that calls a method in this process."""
 
         def resend(*args: object, **kwargs: object) -> Any:  # noqa: ANN401, the call's
+            if self._target.failure:
+                sender.counts.add_call(0.0, failed=True)
+                raise Unavailable(self._target.failure)
             deadline = time.monotonic() + self._limit
             return sender.repeat_call(self, method.name, args, kwargs, deadline)
 

@@ -61,7 +61,7 @@ class Feed:
     def room(self) -> int | None:
         """Return for how many messages there is room; None: for all."""
         inbox = self._inbox
-        if inbox.queue.policy == "keep":
+        if inbox.queue.policy == "keep" or inbox.is_closed:
             return None
         # a paused component takes nothing, and may itself wait for this source
         waiting = 0 if inbox.is_unbounded else self.waiting
@@ -85,7 +85,7 @@ class PortQueue:
         self._waiting: deque[tuple[Entry, Feed, float]] = deque()
         self._changing = threading.Lock()
         self._while_paused = 0
-        self.is_unbounded = False
+        self.is_unbounded = self.is_closed = False
         self.last_came: float | None = None
 
     def add(self, entry: Entry, feed: Feed) -> None:
@@ -93,6 +93,9 @@ class PortQueue:
         self._counters.note_asked()
         with self._changing:
             grows = True
+            if self.is_closed:
+                feed.counts.drops += 1
+                return
             if self.queue.policy == "block":
                 if feed.waiting >= self.queue.size + MOST_AHEAD:
                     feed.counts.drops += 1
@@ -131,6 +134,17 @@ class PortQueue:
         if unbounded:
             for feed in feeds:
                 feed.on_room()
+
+    def close(self) -> set[Feed]:
+        """Drop and count what waits, and all that comes; return whose it was."""
+        with self._changing:
+            self.is_closed = True
+            feeds = [feed for _, feed, _ in self._waiting]
+            self._waiting.clear()
+            for feed in feeds:
+                feed.waiting -= 1
+                feed.counts.drops += 1
+        return set(feeds)
 
     def waiting(self) -> list[Entry]:
         """Return what waits, oldest first."""
@@ -186,6 +200,12 @@ class Mailbox:
     def is_empty(self) -> bool:
         """Return whether no message and no one-way call waits."""
         return next(self.waiting(), None) is None
+
+    def close(self) -> None:
+        """Take nothing any more, and make nobody wait: the component has failed."""
+        for inbox in self._inboxes.values():
+            for feed in inbox.close():
+                feed.on_room()
 
     def set_unbounded(self, *, unbounded: bool) -> None:
         """Lift the bounds of all queues while nothing is taken out, or restore them."""

@@ -287,11 +287,14 @@ class Runner:
             while self.life_cycle.state not in ENDED:
                 self._go_to_goal()
         finally:
-            # nobody waits for what has ended: calls go where the component is now
-            self.exclusion.redirect()
             if self.life_cycle.state not in ENDED:  # a defect ended its thread
                 self.life_cycle.enter("failed")
                 self._on_change()
+            # one that was to end has moved away, or is replaced
+            if self.life_cycle.goal != "finalized":
+                self.endpoints.fail()
+            # nobody waits for what has ended: calls go where the component is now
+            self.exclusion.redirect()
             self.counters.end()
 
     def _go_to_goal(self) -> None:
