@@ -13,7 +13,6 @@ import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from math import inf
-from typing import NamedTuple
 
 from poise.clock import DRIFT, Clock
 from poise.runtime.agent.fence import Fence, Lease
@@ -42,23 +41,16 @@ from poise.wire.records.request_records import Claim, majority_at
 _KEPT = 64
 
 
-class _Trip(NamedTuple):
-    """A round trip: when it began, the bounds of the offset then, and how long it took.
+class ClockOffset:
+    """The offset of one other computer's clock, from the last round trips.
 
-    Bounds widen with age: these are what they would have been at 0 of this clock [s].
+    Of each it keeps when it began, the bounds of the offset, and how long it took [s].
+    Bounds widen with age: these are what they would have been at 0 of this clock.
     """
 
-    sent: float
-    low: float
-    high: float
-    lasted: float
-
-
-class ClockOffset:
-    """The offset of one other computer's clock, from the last round trips."""
-
     def __init__(self) -> None:
-        self._trips = deque[_Trip](maxlen=_KEPT)
+        self._kept = tuple(deque[float](maxlen=_KEPT) for _ in range(4))
+        self._sent, self._lows, self._highs, self._lasted = self._kept
 
     def add(
         self, sent: float, received: float, answered: float, returned: float
@@ -67,32 +59,35 @@ class ClockOffset:
         low, high = answered - returned, received - sent
         if low <= high and received <= answered:
             wide = DRIFT * sent
-            self._trips.append(_Trip(sent, low + wide, high - wide, high - low))
+            self._sent.append(sent)
+            self._lows.append(low + wide)
+            self._highs.append(high - wide)
+            self._lasted.append(high - low)
 
     def at(self, now: float) -> ClockStatus | None:
         """Return what is known at `now` [s, this clock]; None before any trip."""
         wide = DRIFT * now
-        while self._trips:  # heartbeats that overtook each other contradict all
-            low = max(trip.low for trip in self._trips) - wide
-            high = min(trip.high for trip in self._trips) + wide
+        while self._sent:  # heartbeats that overtook each other contradict all
+            low, high = max(self._lows) - wide, min(self._highs) + wide
             if low <= high:
                 return ClockStatus(
                     offset=(low + high) / 2,
                     error=(high - low) / 2,
                     at=now,
-                    trip=min(trip.lasted for trip in self._trips),
+                    trip=min(self._lasted),
                 )
             self._forget_contradicted(wide)  # a clock was set
         return None
 
     def _forget_contradicted(self, wide: float) -> None:
         """Forget the newest bound that contradicts newer ones, and all before it."""
-        low, high, trips = -inf, inf, list(self._trips)
+        low, high, trips = -inf, inf, [*zip(*self._kept, strict=True)]
         while low <= high:
-            trip = trips.pop()
-            low, high = max(low, trip.low - wide), min(high, trip.high + wide)
-        while self._trips and self._trips[0].sent <= trip.sent:
-            self._trips.popleft()
+            sent, low_then, high_then, _ = trips.pop()
+            low, high = max(low, low_then - wide), min(high, high_then + wide)
+        while self._sent and self._sent[0] <= sent:
+            for values in self._kept:
+                values.popleft()
 
 
 _STALLED = 0.3
