@@ -90,6 +90,7 @@ class Host:
     def __init__(self) -> None:
         self.started: list[str] = []
         self.processes: dict[str, Process] = {}
+        self.weights: dict[int, int] = {}
         self.faults: dict[str, Exception] = {}
 
     def start(self, spec: ContainerSpec) -> Process:
@@ -100,7 +101,7 @@ class Host:
         return process
 
     def settle(self, spec: ContainerSpec, pid: int) -> None:
-        pass
+        self.weights[pid] = spec.weight
 
     def release(self, container: str) -> None:
         pass
@@ -311,6 +312,16 @@ def test_a_container_that_ends_is_started_again_with_a_delay_that_grows() -> Non
         assert world.host.started == ["see"] * num_starts
         world.core.on_born("see", 100)
     assert [fault.container for fault in world.status.faults] == ["see", "see"]
+
+
+def test_a_container_whose_priority_changed_has_another_weight_at_once() -> None:
+    """The next manager may read another one in the robot file."""
+    world = World()
+    world.deploy("see")
+    heavier = structs.replace(specs("see")[0], weight=1000)
+    assert world.ask(Deployment(generation=2, containers=(heavier,)))
+    world.core.tick()
+    assert world.host.weights == {100: 1000}
 
 
 def test_a_robot_that_starts_has_no_faults_of_the_one_that_was_stopped() -> None:

@@ -286,7 +286,8 @@ class Supervisor:
     def _tell(self, process: ContainerProcess, spec: ContainerSpec) -> None:
         if process.is_stopping:
             return
-        if process.pid and process.spec.preparation_cpu != spec.preparation_cpu:
+        cpus = [(s.preparation_cpu, s.weight) for s in (process.spec, spec)]
+        if process.pid and cpus[0] != cpus[1]:
             self._host.settle(spec, process.pid)
         process.deploy(spec)
 
