@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from threading import Thread
 
 from poise.manage.journal import Journal
 from poise.manage.observe.troubles import ManagerTroubles
@@ -45,6 +46,24 @@ def test_a_clock_that_drifts_is_no_trouble() -> None:
         clocks.wall += 0.1
         troubles.check()
     assert not journal.entries()
+
+
+def test_of_threads_that_fail_at_once_all_are_shown() -> None:
+    journal, others = Journal(":memory:"), list[Thread]()
+
+    def wall() -> float:
+        if troubles and not others:
+            error = RuntimeError("bad")
+            others.append(Thread(target=troubles[0].note_failure, args=("b", error)))
+            others[0].start()
+            others[0].join()
+        return 1e9
+
+    troubles = list[ManagerTroubles]()
+    troubles.append(ManagerTroubles(journal, wall))
+    troubles[0].note_failure("a", RuntimeError("bad"))
+    shown = [each.what for each in troubles[0].deviations()]
+    assert ["'a'" in shown[-1], "'b'" in shown[0]] == [True, True]
 
 
 class File:

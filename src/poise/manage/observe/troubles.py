@@ -7,6 +7,7 @@ backs off alone. No bug of Poise ends a robot.
 from __future__ import annotations
 
 import re
+import threading
 import time
 import traceback
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
@@ -60,6 +61,7 @@ class ManagerTroubles:
         self._troubles: dict[int, Deviation] = {}
         self._shown: dict[str, tuple[float, Deviation]] = {}
         """What happened lately, by what it is about, and when; replaced as a whole."""
+        self._lock = threading.Lock()
 
     def check(self) -> None:
         """Journal a jump of the clock; call it several times a second."""
@@ -92,10 +94,11 @@ class ManagerTroubles:
         return [*self._troubles.copy().values(), *(shown for _, shown in recent)]
 
     def _show(self, about: str, what: str) -> None:
-        shown = self._recent()
-        shown.pop(about, None)  # the last comes last
-        shown[about] = self._now(), self._deviation(what)
-        self._shown = dict([*shown.items()][-_MOST_SHOWN:])
+        new = self._now(), self._deviation(what)
+        with self._lock:
+            shown = self._recent()
+            shown.pop(about, None)  # the last comes last
+            self._shown = dict([*shown.items(), (about, new)][-_MOST_SHOWN:])
 
     def _recent(self) -> dict[str, tuple[float, Deviation]]:
         since = self._now() - SHOWN_FOR
