@@ -43,6 +43,8 @@ class Sums(Protocol):
 
     def wait(self) -> None: ...
 
+    def interrupt(self) -> None: ...
+
     @oneway
     def note(self, text: str) -> None: ...
 
@@ -69,6 +71,9 @@ class Target(Component):
 
     def wait(self) -> None:
         self.go_on.wait(LIMIT)
+
+    def interrupt(self) -> None:
+        raise KeyboardInterrupt
 
     def note(self, text: str) -> None:
         self._hear(text)
@@ -158,10 +163,21 @@ def test_what_the_callee_raises_comes_back_with_its_traceback(pair: Pair) -> Non
 
 
 @every_kind
-def test_a_call_that_cannot_be_made_is_the_callers_error(pair: Pair) -> None:
+def test_a_call_that_cannot_be_made_is_an_error_of_one_kind(pair: Pair) -> None:
     source, _ = start(pair, "sums")
-    with pytest.raises((TypeError, CalleeError)):
+    with pytest.raises(CalleeError, match=r"TypeError: .*add\(\)") as caught:
         source.sums.add(1, 2, 3)  # type: ignore[call-arg]
+    assert caught.value.type_name == "TypeError"
+    assert status(pair, "source").errors == 1
+
+
+@every_kind
+def test_a_callee_that_interrupts_itself_ends_no_connection(pair: Pair) -> None:
+    source, _ = start(pair, "sums")
+    with pytest.raises((CalleeError, KeyboardInterrupt)):
+        source.sums.interrupt()
+    assert source.sums.add(1, 2) == 3
+    assert status(pair, "target").errors == 1
 
 
 @every_kind

@@ -17,8 +17,10 @@ from poise.errors import (
     Sparing,
     Timeout,
     Unavailable,
+    said,
 )
 from poise.runtime._calls import ServedCall, call_remote, time_left
+from poise.runtime.component.error_report import traceback_of
 from poise.runtime.component.ports import Port
 from poise.runtime.connectors.endpoints import ComponentEndpoints
 from poise.runtime.connectors.flow_control import Credit, CreditIssuer
@@ -143,7 +145,11 @@ class ChannelRoute:
                 raise Timeout(
                     f"connector {name}: the call was not made: no time is left"
                 )
-            values = bind(*args, **kwargs)
+            try:
+                values = bind(*args, **kwargs)
+            except TypeError as error:  # as within a container
+                counts.add_call(0.0, failed=True)
+                raise_callee_error(TypeError(f"{method.name}(): {error}"))
             waits = int(1e9 * min(left, _LONGEST)) or 1  # 0 were no limit
             answer: Frame | None = None
             pieces: Pieces = []
@@ -261,6 +267,10 @@ class ReceivingEnd(Struct, frozen=True, kw_only=True):
                 if isinstance(error, WireError):
                     tell(error)
                 answer = _failure(error)
+            except KeyboardInterrupt as error:  # the callee's: this is no main thread
+                answer = frame.failure(
+                    type(error).__name__, said(error), traceback_of(error)
+                )
             took, failed = time.monotonic() - began, answer[0][1] == _ERROR
             size, latency = size_of(answer), received.age + clock.offset
             counts.add_call(took, size, received.size, latency, clock.error, failed)
