@@ -117,6 +117,20 @@ def test_takes_a_lesser_alternative_before_putting_something_aside() -> None:
     assert result.architectures == {"see": "plain"}
 
 
+@pytest.mark.parametrize("priority", [1, 9])
+def test_says_with_which_alternative_all_would_fit(priority: int) -> None:
+    """Whether both alternatives are suspended, or one of them is taken."""
+    asked = problem(
+        (architecture("good", function="see", priority=priority), 2.0),
+        (architecture("plain", function="see", priority=priority), 1.0),
+        (architecture("drive", priority=5), 2.0),
+        room=2.5,
+    )
+    result = plan.solve(asked, fewer=True)
+    assert result.suspended == (("good",) if priority == 1 else ("drive",))
+    assert "together need 3 cpu; one has 2.5. It would fit with 0.5" in result.reason
+
+
 def test_weighs_quality_against_fit() -> None:
     """With quality worth nothing, the alternative with the lower F is taken."""
     asked = problem(

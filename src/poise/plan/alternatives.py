@@ -116,8 +116,11 @@ def admit(problem: Problem, decide: Decide, *, fewer: bool) -> Result:
             proven=proven and admission.is_complete,
         )
     suspended = tuple(need[0].name for need in every if need not in admitted)
-    why = result.reason if suspended else ""
-    best.choice = best.choice._replace(suspended=suspended, whole=problem, why=why)
+    if suspended:
+        whole = result.problem if others or not result.choice.architectures else None
+        best.choice = best.choice._replace(
+            suspended=suspended, whole=whole, why=result.reason, others=others
+        )
     return best
 
 

@@ -301,7 +301,7 @@ def evaluate(
     placed = compiled.arrays.placed(placement)
     result = Result.of(compiled, placed, method, given=True)
     if suspended:
-        choice = choice._replace(suspended=suspended, whole=problem, why=why)
+        choice = choice._replace(suspended=suspended, why=why)
     result.choice = choice
     return result
 

@@ -170,16 +170,10 @@ class Result:
 
     def find_conflict(self, stop: Ask | None = None) -> Conflict | None:
         """Return `conflict`; `stop` says when to give up looking for it."""
-        suspended, whole = self.choice.suspended, self.choice.whole
-        if (
-            self._conflict is not None
-            or (self._complete and not suspended)
-            or self._given
-        ):
+        suspended = self.choice.suspended
+        problem = self.choice.whole if suspended or self._complete else self.problem
+        if self._conflict is not None or problem is None or self._given:
             return self._conflict
-        problem = whole if suspended and whole is not None else self.problem
-        if suspended and self.choice.architectures:
-            return None
         problems = problem, *self.choice.others
         conflicts = [conflict(part, stop, 1.0 / len(problems)) for part in problems]
         known = [c for c in conflicts if c is not None]
@@ -188,7 +182,8 @@ class Result:
             known, key=lambda way: inf if way.price is None else way.price, default=None
         )
         is_all = bool(self.choice.others) or not self.choice.architectures
-        if is_all and not self._complete and len(known) == len(conflicts):
+        is_proven = is_all and len(known) == len(conflicts)
+        if is_proven and not (self._complete or suspended):
             self.proven, self.stopped_by = True, "infeasible"
         return self._conflict
 

@@ -163,7 +163,8 @@ class Selection(NamedTuple):
     architectures: Mapping[str, str] = {}
     suspended: tuple[str, ...] = ()  # architectures suspended because not all fits
     lost: float = 0.0  # what F grows by for the quality that was lost
-    # the problem with all architectures; None when nothing was suspended
+    # the problem with nothing suspended, for one choice; None: nothing was, or the
+    # choices are too many to explain
     whole: Problem | None = None
     why: str = ""  # why something was suspended, for people
     # the problems with other alternatives, where nothing holds with any
