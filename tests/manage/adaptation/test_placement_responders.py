@@ -18,7 +18,7 @@ from poise.manage.adaptation.placement_responders import (
 )
 from poise.manage.adaptation.policies import Policies, Symptom
 from poise.manage.adaptation.situation import Change
-from poise.manage.adaptation.when_to_act import FIRST_BACKOFF, JUDGE_AFTER
+from poise.manage.adaptation.when_to_act import FIRST_BACKOFF, JUDGE_AFTER, STAY_AWAY
 from poise.manage.migration.migration_report import (
     MigrationReport,
     Proposal,
@@ -126,6 +126,17 @@ def test_what_goes_wrong_next_is_thought_about_at_once(rig: Replanning) -> None:
 def test_only_bad_links_are_taken_for_bad_links(rig: Replanning) -> None:
     rig.look(1.0, FULL, CUT)
     assert rig.asked[0]["situation"].bad_links == {"left-right"}
+
+
+def test_what_was_urgent_is_so_until_it_was_in_time_for_long(rig: Replanning) -> None:
+    """Else it brings back what crowded it, as soon as another one is late."""
+    crowded = rig.robbed.situation(0.2, "high")
+    late = tuple(replace(m, takes=0.12, deadline=0.1) for m in crowded.misses)
+    for now, misses in (1.0, late), (2.0, ()), (1.0 + STAY_AWAY, ()):
+        seen = replace(crowded, symptoms=(FULL,), now=now, misses=misses)
+        rig.responder.respond(seen, rig.robbed.run.desired)
+    found = [each["situation"].urgency for each in rig.asked]
+    assert found == [{"high": pytest.approx(1.2)}] * 2 + [{}]
 
 
 def test_what_is_lost_while_all_is_well_or_nothing_helps_does_not_count(

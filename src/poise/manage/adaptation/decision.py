@@ -75,7 +75,9 @@ def decide(
 ) -> Decision:
     """Return whether to change the placement, and why."""
     gone = _gone(situation)
-    situation = _with_urgency(situation.of_running_components())
+    situation = situation.of_running_components()
+    present = urgent(situation)
+    situation = replace(situation, urgency={**present, **situation.urgency})
     bad = bad_links(situation)
     robot = _without_homes_beyond(
         beyond_cuts(situation.placement, bad), with_bad_links(situation.robot, bad)
@@ -108,7 +110,8 @@ def decide(
     acts = bool(proposal.steps) and gain > _LEAST and gain * horizon > doubt * cost
     why = f"{causes}{_change(proposal, gain, cost)}"
     if not acts:
-        suspended = _with_fewer(situation) if short else None
+        now_late = replace(situation, urgency=present)
+        suspended = _with_fewer(now_late) if short else None
         if suspended is not None:
             return replace(suspended, undone=undone)
         why = f"it stays as it is: {why}"
@@ -143,26 +146,26 @@ def _gone(situation: Situation) -> str:
     return ", ".join(f"'{n}' of '{situation.placement[n]}'" for n in sorted(names))
 
 
-def _with_urgency(situation: Situation) -> Situation:
-    """Return the situation with the CPU that late components need to be in time.
+def urgent(situation: Situation) -> dict[str, float]:
+    """Return how many times the CPU of late components counts that they be in time.
 
     Utilisation below 1 is not schedulability: on a crowded computer a component whose
     runs take longer than its deadline needs its CPU by that factor sooner.
     """
-    robot, demands = situation.robot_now, situation.robot_now.demands("cpu")
+    robot = replace(situation, urgency={}).robot_now
+    demands = robot.demands("cpu")
     used = dict.fromkeys((c.name for c in robot.computers), 0.0)
     for name, at in situation.placement.items():
         used[at] += demands[name]
     usable = {c.name: c.usable("cpu") for c in situation.computers_left()}
     crowded = {name for name, cores in used.items() if cores >= _CROWDED * usable[name]}
-    factors = {
+    return {
         timer.component: min(max(timer.takes / timer.deadline, _URGENT), _MOST_URGENT)
         for timer in situation.misses
         if timer.late
         and timer.takes >= _CROWDED * timer.deadline > 0
         and timer.computer in crowded
     }
-    return replace(situation, urgency=factors)
 
 
 def _change(proposal: Proposal, gain: float, cost: float) -> str:

@@ -11,12 +11,12 @@ from msgspec.structs import replace
 
 from poise import plan
 from poise.errors import RobotError
-from poise.manage.adaptation.decision import HORIZON, Decision, decide
+from poise.manage.adaptation.decision import HORIZON, Decision, decide, urgent
 from poise.manage.adaptation.move_forecast import alternatives
 from poise.manage.adaptation.policies import Key, Policies, Symptom, saw
 from poise.manage.adaptation.proposal import explain
 from poise.manage.adaptation.situation import Change, Homes, Situation
-from poise.manage.adaptation.when_to_act import LossSuffered, MoveLimits
+from poise.manage.adaptation.when_to_act import STAY_AWAY, LossSuffered, MoveLimits
 from poise.manage.deploy.desired import Desired
 from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.migration.coordinator import stuck_components
@@ -268,6 +268,8 @@ class ReplanResponder:
         self._transitions = transitions
         self._said: dict[Key, str] = {}
         self._think_at = 0.0
+        self._urgent: dict[str, tuple[float, float]] = {}
+        """Component -> how urgent it was on a crowded computer, and when last [s]."""
 
     def respond(self, situation: Situation, _desired: Desired) -> Change | None:
         """Return the transition to a better placement, if that is worth it."""
@@ -292,6 +294,7 @@ class ReplanResponder:
         since = transitions.policies.since
         began = min(since.get(symptom.key, now) for symptom in bad)
         horizon = max(HORIZON, loss.lasts(began, now))
+        situation = replace(situation, urgency=self._urgency(situation))
         decision = decide(situation, horizon=horizon, doubt=loss.doubt)
         loss.judge(decision.undone, now)
         loss.note(decision.gain if decision.acts else 0.0, began, now)
@@ -305,6 +308,17 @@ class ReplanResponder:
         limits.start_backoff(now, situation.amounts())
         self._say_why_not(why_not, decision, situation)
         return None
+
+    def _urgency(self, situation: Situation) -> dict[str, float]:
+        """Return what is urgent, or was lately: it would be so again where it was."""
+        now = situation.now
+        for name, factor in urgent(situation.of_running_components()).items():
+            before, _ = self._urgent.get(name, (factor, now))
+            self._urgent[name] = max(before, factor), now
+        self._urgent = {
+            n: known for n, known in self._urgent.items() if now - known[1] < STAY_AWAY
+        }
+        return {name: factor for name, (factor, _) in self._urgent.items()}
 
     def _say_why_not(self, why: str, decision: Decision, situation: Situation) -> None:
         """Journal why nothing is done, once for each reason while symptoms last."""
