@@ -42,6 +42,23 @@ def test_keeps_the_last_and_tells_each_connector_what_it_lost() -> None:
     assert one.room() is None
 
 
+def test_what_comes_for_a_failed_component_is_lost_and_no_job() -> None:
+    class Asked(ComponentCounters):
+        jobs = 0
+
+        def note_asked(self) -> None:
+            self.jobs += 1
+
+    counters, counts = Asked(), Counts()
+    mailbox = Mailbox({"scan": Queue("block", 1)}, counters)
+    scans = mailbox.feed("scan", counts)
+    put(scans, 1)
+    mailbox.close()
+    assert (counts.drops, mailbox.is_empty(), scans.has_room()) == (1, True, True)
+    put(scans, 2, 3)
+    assert (counts.drops, mailbox.is_empty(), counters.jobs) == (3, True, 1)
+
+
 def test_counts_how_long_what_is_taken_has_waited() -> None:
     inbox = inbox_of(Queue("keep", 2))
     one = feed(inbox)

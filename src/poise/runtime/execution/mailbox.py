@@ -90,12 +90,12 @@ class PortQueue:
 
     def add(self, entry: Entry, feed: Feed) -> None:
         """Queue a message for the component; one without room is counted."""
-        self._counters.note_asked()
         with self._changing:
             grows = True
             if self.is_closed:
                 feed.counts.drops += 1
                 return
+            self._counters.note_asked()
             if self.queue.policy == "block":
                 if feed.waiting >= self.queue.size + MOST_AHEAD:
                     feed.counts.drops += 1
