@@ -284,6 +284,7 @@ def test_a_step_of_a_rotation_that_was_cut_short_is_taken_again(
         patch.setattr(Path, "replace", cut_short)
         with pytest.raises(UsageError, match="cannot be written: no more power"):
             authority.rotate()
+    assert not list(authority.folder.rglob("*.draft"))
     assert authority_of("hello", authority.folder).rotate()
     assert issue(authority, "new").verified(old.sign(b"beat")) == b"beat"
 

@@ -250,6 +250,9 @@ def _write(path: Path, data: bytes) -> None:
     """Write a file that only its user can read, whole or not at all."""
     draft = path.with_name(f".{path.name}.draft")
     draft.unlink(missing_ok=True)
-    draft.touch(0o600, exist_ok=False)
-    draft.write_bytes(data)
-    draft.replace(path)
+    try:
+        draft.touch(0o600, exist_ok=False)
+        draft.write_bytes(data)
+        draft.replace(path)
+    finally:
+        draft.unlink(missing_ok=True)
