@@ -708,6 +708,20 @@ def test_a_paused_task_goes_on_with_the_alternative_that_has_its_state() -> None
     assert rig.active() == {"glancer"}
 
 
+def test_of_alternatives_that_rest_the_one_that_worked_last_goes_on() -> None:
+    actions = act("a", "see"), act("b", "go", "see")
+    rig = Rig(with_lesser(robot_with(task("t", *actions))), "t")
+    rig.loads["main"] = Load(capacity=1.0, used=0.5, background=0.5)
+    rig.end("seeer")
+    rig.manager.command("pause", "t")
+    assert (rig.active(), rig.resting()) == (set(), {"seeer", "goer", "glancer"})
+    resting = rig.run.prefetched["glancer"]
+    rig.loads.clear()
+    rig.manager.command("resume", "t")
+    assert rig.active() == {"goer", "glancer"}
+    assert rig.run.placed["glancer"].key == resting.key
+
+
 def test_an_alternative_that_has_the_state_does_not_lose_it_when_it_takes_long() -> (
     None
 ):

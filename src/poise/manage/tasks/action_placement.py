@@ -258,20 +258,18 @@ class Admission:
     def _with_resting(
         self, by_plan: Mapping[str, str], functions: Collection[str]
     ) -> dict[str, str]:
-        """Return a plan with the alternatives that rest, and have the state."""
+        """Return a plan with the alternatives that rested last, with their state."""
         robot, desired = self._live.robot, self._live.desired
         idle = (*desired.prefetched.values(), *desired.configured_ahead)
         resting = {e.component: e.computer for e in idle if e.has_worked}
         for function in functions:
-            others = by_plan.keys() & robot.components_for([function])
-            if others and others <= resting.keys():
+            own = robot.components_for([function])
+            if not (last := [name for name in resting if name in own][-1:]):
                 continue
-            for architecture in robot.architectures:
-                names = {component.name for component in architecture.components}
-                if architecture.function == function and names <= resting.keys():
-                    kept = {n: at for n, at in by_plan.items() if n not in others}
-                    by_plan = {**kept, **{name: resting[name] for name in names}}
-                    break
+            names = {c.name for c in robot.architecture_of(last[0]).components}
+            if names <= resting.keys():
+                kept = {n: at for n, at in by_plan.items() if n not in own}
+                by_plan = {**kept, **{name: resting[name] for name in names}}
         return dict(by_plan)
 
     def _end_or_block(self, record: TaskRecord, why: str) -> None:
