@@ -102,7 +102,7 @@ def test_a_component_comes_to_rest_between_chains_that_cross(pair: Pair) -> None
     """Whoever waits for the rest keeps nobody out for whom a chain waits."""
     with crossing(pair, Letting, LIMIT) as runners, ThreadPoolExecutor() as pool:
         for runner in runners * 5:
-            runner.gate.begin_migration()
+            runner.gate.allow_pause()
             both = threading.Barrier(2)
             chains = [pool.submit(begin, each, both) for each in runners]
             rest = pool.submit(runner.gate.pause_for_migration, LIMIT)

@@ -73,7 +73,7 @@ _STORED_LIMIT = 5.0
 """A majority of agents stores a commit within this time [s]."""
 TICK = 0.2
 """A manager looks at its robot so often [s]."""
-Results = Future[Result | Refusal]
+PendingResult = Future[Result | Refusal]
 T = TypeVar("T")
 
 
@@ -98,12 +98,12 @@ class Manager:
         self._samples = samples
         self._recording = recording
         self._estimates_end = False
-        self._commands: queue.Queue[tuple[Command, Results]] = queue.Queue(
+        self._commands: queue.Queue[tuple[Command, PendingResult]] = queue.Queue(
             MOST_COMMANDS
         )
-        self._pending: list[tuple[Command, PendingMigration, Results]] = []
-        self._unstored: list[tuple[int, float, Results, Result | Refusal]] = []
-        self._stops: list[Results] = []
+        self._pending: list[tuple[Command, PendingMigration, PendingResult]] = []
+        self._unstored: list[tuple[int, float, PendingResult, Result | Refusal]] = []
+        self._stops: list[PendingResult] = []
         self._ended: StopReport | Refusal | None = None
         self._stopping = threading.Event()
         self._why_over, self._over_since = "", 0.0
@@ -138,9 +138,9 @@ class Manager:
         """Whether a client asked for the robot's stop."""
         return self._stopping.is_set()
 
-    def submit(self, command: Command) -> Results:
+    def submit(self, command: Command) -> PendingResult:
         """Take a command, from any thread; what only looks is answered there."""
-        future: Results = Future()
+        future: PendingResult = Future()
         if isinstance(command, StopCommand) and self._ended is not None:
             future.set_result(self._ended)
         elif isinstance(command, StopCommand):
@@ -159,7 +159,9 @@ class Manager:
             self._enqueue(command, future)
         return future
 
-    def _set_parameters(self, command: ParametersCommand, future: Results) -> None:
+    def _set_parameters(
+        self, command: ParametersCommand, future: PendingResult
+    ) -> None:
         """Let a component take parameters; what it took is kept by this command."""
         if self._commands.full():
             self._refuse_more(future)
@@ -170,20 +172,20 @@ class Manager:
             future.set_result(Refusal.from_error(error))
             return
         if taken.outcome == "done":
-            kept: Results = Future()  # also if its client has left meanwhile
+            kept: PendingResult = Future()  # also if its client has left meanwhile
             kept.add_done_callback(lambda done: _answer(future, done.result()))
             self._enqueue(structs.replace(command, changes=taken.value), kept)
         else:
             future.set_result(taken)
 
-    def _enqueue(self, command: Command, future: Results) -> None:
+    def _enqueue(self, command: Command, future: PendingResult) -> None:
         try:
             self._commands.put_nowait((command, future))
             self._live.agents.notify()
         except queue.Full:
             self._refuse_more(future)
 
-    def _refuse_more(self, future: Results) -> None:
+    def _refuse_more(self, future: PendingResult) -> None:
         text = f"{MOST_COMMANDS} commands wait already: try again later"
         future.set_result(Refusal(text, "RunError"))
 
@@ -225,7 +227,7 @@ class Manager:
         else:
             if not self.is_stopping and future.set_running_or_notify_cancel():
                 self._begin(command, future)
-        self._parts.run("migrate", self._make_configured)
+        self._parts.run("migrate", self._run_configured)
         self._parts.run("answer what is stored", self._answer_stored)
         self._parts.run("take samples", self._estimate_from_samples)
         self._observe()
@@ -317,7 +319,7 @@ class Manager:
             or any(self._live.agents.has_stored(each[0]) for each in self._unstored)
         )
 
-    def _begin(self, command: Command, future: Results) -> None:
+    def _begin(self, command: Command, future: PendingResult) -> None:
         """Carry out a command; of a migration the targets are configured first."""
         result = self._carry_out(command, partial(self._do_or_plan, command))
         if isinstance(result, PendingMigration):
@@ -325,7 +327,9 @@ class Manager:
         else:
             self._answer_when_stored(future, result)
 
-    def _answer_when_stored(self, future: Results, result: Result | Refusal) -> None:
+    def _answer_when_stored(
+        self, future: PendingResult, result: Result | Refusal
+    ) -> None:
         """Answer once what it changed outlives this manager."""
         generation, now = self._live.desired.generation, self._live.clock.now()
         self._unstored.append((generation, now + _STORED_LIMIT, future, result))
@@ -343,7 +347,7 @@ class Manager:
             self._unstored.remove(waiting)
             future.set_result(result)
 
-    def _make_configured(self) -> None:
+    def _run_configured(self) -> None:
         """Make the migrations whose targets are configured, or will not be."""
         for waiting in list(self._pending):
             command, pending, future = waiting
@@ -454,7 +458,7 @@ class Manager:
         self._parts.run("watch components", self._watch.record)
 
 
-def _answer(future: Results, result: Result | Refusal) -> None:
+def _answer(future: PendingResult, result: Result | Refusal) -> None:
     """Answer a client that still waits."""
     if future.set_running_or_notify_cancel():
         future.set_result(result)

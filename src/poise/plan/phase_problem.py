@@ -61,7 +61,7 @@ class TaskProblem(Struct, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         """Give all phases the same overhead scale, or raise a RobotError."""
-        if wrong := list(_problems(self.phases)):
+        if wrong := list(_faults(self.phases)):
             raise RobotError("the phases are wrong:\n  " + "\n  ".join(wrong))
         if len(self.phases) > 1:
             force_setattr(self, "phases", _in_one_unit(self.phases, self.lasts))
@@ -104,7 +104,7 @@ class TaskProblem(Struct, frozen=True, kw_only=True):
         return move if move >= NEVER else move * often / seconds
 
 
-def _problems(phases: tuple[PhaseProblem, ...]) -> Iterator[str]:
+def _faults(phases: tuple[PhaseProblem, ...]) -> Iterator[str]:
     """Yield everything that is wrong with phases, each with its name."""
     if not phases:
         yield "there are none; a task has one at least"

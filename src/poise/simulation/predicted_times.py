@@ -1,11 +1,8 @@
 """How old the data of chains gets on a placement, and how late timers are.
 
-No manager and no agent runs, and nothing moves or breaks: what is left takes a few
-microseconds for each run of a handler, so that a placement can be looked at before
-anything runs.
-
-What components do is simulated several times over, without manager and agents. The
-figures are means over these robots.
+What components do is simulated several times over; the figures are means over these
+runs. No manager and no agent runs, and nothing moves or breaks: a run of a handler
+takes a few microseconds, so that a placement can be looked at before anything runs.
 """
 
 from __future__ import annotations
@@ -88,7 +85,7 @@ class PlacedComponents:
         incarnations = [
             Incarnation(component=c, computer=h) for c, h in placement.items()
         ]
-        deployments = DeploymentLayout(robot, "").specs(
+        deployments = DeploymentLayout(robot, "").deployments(
             Desired(coming=tuple(incarnations)), {}
         )
         agent = _agent(work.agent)

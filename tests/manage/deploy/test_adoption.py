@@ -20,7 +20,7 @@ THINKER = Incarnation(component="thinker", computer="right", epoch=2)
 
 
 def told(robot: Robot, *incarnations: Incarnation) -> dict[str, Deployment]:
-    return DeploymentLayout(robot, "/run").specs(
+    return DeploymentLayout(robot, "/run").deployments(
         Desired(coming=incarnations, generation=7), GATEWAYS
     )
 

@@ -18,7 +18,7 @@ ALL = ("grabber", "filter", "heavy", "alone", "driver", "thinker")
 
 def deployments(robot: Robot, **where: str) -> dict[str, Deployment]:
     placed = [Incarnation(component=n, computer=c) for n, c in where.items()]
-    return DeploymentLayout(robot, "/run").specs(
+    return DeploymentLayout(robot, "/run").deployments(
         Desired(coming=tuple(placed), generation=3), GATEWAYS
     )
 
@@ -128,7 +128,7 @@ def test_while_a_component_moves_both_incarnations_are_joined(robot: Robot) -> N
         Incarnation(component="filter", computer="left"),
         Incarnation(component="filter", computer="right", epoch=1, goal="inactive"),
     ]
-    told = DeploymentLayout(robot, "/run").specs(
+    told = DeploymentLayout(robot, "/run").deployments(
         Desired(coming=tuple(placed), generation=1), GATEWAYS
     )
     keys = {
@@ -184,7 +184,7 @@ def test_other_code_of_a_component_has_a_container_of_its_own(robot: Robot) -> N
         Incarnation(component="grabber", computer="left", code="b" * 64),
         Incarnation(component="filter", computer="left"),
     ]
-    left = DeploymentLayout(robot, "/run").specs(
+    left = DeploymentLayout(robot, "/run").deployments(
         Desired(coming=tuple(placed), generation=3), GATEWAYS
     )["left"]
     assert {c.name: c.code for c in left.containers} == {

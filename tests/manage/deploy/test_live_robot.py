@@ -267,15 +267,15 @@ def test_what_cannot_be_computed_now_is_told_later(
     run, _ = run_of(robot, agents)
     run.clock = run.parts._clock = clock = VirtualClock()
     run.start()
-    specs = run.layout.specs
+    deployments = run.layout.deployments
 
     def unreadable(*_: object) -> None:
         raise OSError("a file of the code is being written")
 
-    monkeypatch.setattr(run.layout, "specs", unreadable)
+    monkeypatch.setattr(run.layout, "deployments", unreadable)
     run.commit(run.desired.aiming("inactive", ["thinker"]), "a test")
     assert "a file of the code" in run.parts.deviations()[0].what
-    monkeypatch.setattr(run.layout, "specs", specs)
+    monkeypatch.setattr(run.layout, "deployments", deployments)
     clock.sleep(2.0)
     run.reconcile()
     (container,) = agents.deployed[-1][1].containers

@@ -50,7 +50,7 @@ class Cut:
         self.agents = FakeAgents(*names)
         layout = DeploymentLayout(robot, "/run", code_version=version_of)
         gateways = {name: f"{name}:7000" for name in names}
-        self.told: dict[str, Deployment] = layout.specs(
+        self.told: dict[str, Deployment] = layout.deployments(
             Desired(coming=left, generation=5), gateways
         )
         for computer, deployment in self.told.items():
@@ -82,7 +82,7 @@ class Cut:
         if not computer:
             (computer,) = self.agents.gone
         layout = DeploymentLayout(robot, "/run", code_version=version_of)
-        self.agents.left_with[computer] = layout.specs(
+        self.agents.left_with[computer] = layout.deployments(
             Desired(coming=found, generation=9), {}
         )[computer]
         self.agents.strangers.add(computer)
@@ -219,7 +219,7 @@ def test_a_move_that_was_half_done_is_committed_when_its_target_works(
     cut.take_over()
     target = Incarnation(component="thinker", computer="left", epoch=7)
     layout = DeploymentLayout(robot, "/run", code_version=version_of)
-    left = layout.specs(
+    left = layout.deployments(
         Desired(
             coming=(GRABBER, target if works else target.with_goal("inactive")),
             generation=8,
@@ -310,7 +310,8 @@ def test_what_ended_after_it_moved_away_from_the_other_side_does_not_come_back(
     assert cut.goals("thinker") == []
     layout = DeploymentLayout(robot, "/run", code_version=version_of)
     cut.agents.begin_deploy(
-        "left", layout.specs(Desired(coming=(GRABBER, there), generation=1), {})["left"]
+        "left",
+        layout.deployments(Desired(coming=(GRABBER, there), generation=1), {})["left"],
     )
     agents = cast("Agents", cut.agents)
     cut.run = LiveRobot(robot, PLACEMENT, agents, cut.journal, "/run")
@@ -350,7 +351,7 @@ def test_what_was_fenced_on_two_computers_goes_on_where_it_is_later(
     robot = replace(robot, computers=(*robot.computers, middle))
     layout = DeploymentLayout(robot, "/run", code_version=version_of)
     old = replace(THINKER, computer="left", epoch=3)
-    told = layout.specs(Desired(coming=(old, THINKER), generation=5), {})
+    told = layout.deployments(Desired(coming=(old, THINKER), generation=5), {})
     names = {"left", "right", "middle"}
     desired, claimed = Desired(placed={}), {"middle"}
     for joined in [{"left", "right"}] if together else [{"left"}, {"right"}]:
@@ -372,7 +373,7 @@ def test_an_architecture_on_two_computers_joins_from_one_after_the_other(
     robot = replace(robot, computers=(*robot.computers, middle))
     layout = DeploymentLayout(robot, "/run", code_version=version_of)
     heavy = Incarnation(component="heavy", computer="right")
-    told = layout.specs(Desired(coming=(GRABBER, heavy), generation=5), {})
+    told = layout.deployments(Desired(coming=(GRABBER, heavy), generation=5), {})
     desired, claimed = Desired(placed={}), {"middle"}
     for computer in "left", "right":
         found = found_in({computer: told[computer]})
@@ -387,7 +388,9 @@ def test_what_an_earlier_manager_held_is_no_target_of_a_migration(robot: Robot) 
     desired = Desired(placed={"thinker": THINKER}, held=frozenset({"thinker"}))
     old = replace(THINKER, computer="left", epoch=3)
     found = found_in(
-        layout.specs(Desired(coming=(old, *desired.incarnations()), generation=5), {})
+        layout.deployments(
+            Desired(coming=(old, *desired.incarnations()), generation=5), {}
+        )
     )
     assert {each.spec.goal for each in found} == {"active", "inactive"}
     counts = authoritative(found, robot)
@@ -407,7 +410,11 @@ def test_what_another_architecture_of_its_function_takes_the_place_of_does_not_j
     before = Desired(coming=(new,)) if starts else Desired(placed=placed)
     layout = DeploymentLayout(robot, "/run", code_version=version_of)
     found = found_in(
-        {"right": layout.specs(Desired(coming=(THINKER,), generation=5), {})["right"]}
+        {
+            "right": layout.deployments(Desired(coming=(THINKER,), generation=5), {})[
+                "right"
+            ]
+        }
     )
     desired = joined_by(before, robot, found, {"left"}, set(), set())
     assert desired.placed == before.placed

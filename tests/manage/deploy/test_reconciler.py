@@ -170,7 +170,9 @@ def test_nothing_is_told_before_what_was_found_is_known(rig: Rig) -> None:
     """An agent may report that it obeys before its answer to the claim is looked at."""
     rig.run.claimed.discard("right")
     there = structs.replace(rig.run.placed["thinker"], epoch=7)
-    plan = rig.run.layout.specs(Desired(coming=(there,), generation=9), {})["right"]
+    plan = rig.run.layout.deployments(Desired(coming=(there,), generation=9), {})[
+        "right"
+    ]
     rig.agents.left_with["right"] = plan
     rig.agents.strangers.add("right")
     rig.run.reconcile()  # it obeys from now on
@@ -264,7 +266,7 @@ def joining(
 ) -> JoiningComputer:
     """Return the right computer, on which the thinker is found."""
     found = structs.replace(rig.run.placed["thinker"], goal=goal, held=held)
-    deployment = rig.run.layout.specs(Desired(coming=(found,), generation=9), {})[
+    deployment = rig.run.layout.deployments(Desired(coming=(found,), generation=9), {})[
         "right"
     ]
     copy = CheckpointCopy(component="thinker", epoch=0, data=b"x", age=1.0)

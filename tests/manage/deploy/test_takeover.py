@@ -49,7 +49,7 @@ def run_of(robot: Robot, *left: Incarnation) -> tuple[LiveRobot, FakeAgents, Jou
     gateways = {"left": "left:7000", "right": "right:7000"}
     if left:
         layout = DeploymentLayout(robot, "/run", code_version=version_of)
-        for computer, told in layout.specs(
+        for computer, told in layout.deployments(
             Desired(coming=left, generation=5), gateways
         ).items():
             agents.begin_deploy(computer, told)
@@ -106,7 +106,7 @@ def serving_tasks(robot: Robot, *ended: str) -> LiveRobot:
     run, agents, _ = run_of(robot)
     record = Desired(tasks=b"some", ended=dict.fromkeys(ended, 3))
     layout = DeploymentLayout(robot, "/run", code_version=version_of)
-    for computer, told in layout.specs(
+    for computer, told in layout.deployments(
         Desired(coming=LEFT[:1], generation=5), {}
     ).items():
         agents.begin_deploy(computer, structs.replace(told, desired=encode(record)))
@@ -134,7 +134,7 @@ def test_parameters_of_what_does_not_run_are_kept_by_each_next_manager(
     layout = DeploymentLayout(robot, "/run", code_version=version_of)
     ended = {"thinker": 3}
     record = encode(Desired(tasks=b"some", parameters=parameters, ended=ended))
-    for computer, told in layout.specs(
+    for computer, told in layout.deployments(
         Desired(coming=LEFT[:1], generation=5), {}
     ).items():
         agents.begin_deploy(computer, structs.replace(told, desired=record))
@@ -461,7 +461,9 @@ def test_a_replacement_that_had_not_begun_counts_for_nothing_on_a_computer_that_
     )
     record = Desired(placed={"thinker": thinker}, configured_ahead=ahead, generation=5)
     agents, layout = FakeAgents("left", "right"), DeploymentLayout(robot, "/run")
-    told = layout.specs(Desired(coming=(thinker, *ahead), generation=5), {})["right"]
+    told = layout.deployments(Desired(coming=(thinker, *ahead), generation=5), {})[
+        "right"
+    ]
     agents.begin_deploy("right", structs.replace(told, desired=encode(record)))
     agents.gone = {"left"}
     run = LiveRobot(

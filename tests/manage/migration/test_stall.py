@@ -29,7 +29,7 @@ class Preparation:
 
     def __init__(self) -> None:
         self.now = 0.0
-        self.run = Mock(**{"layout.home_of.return_value": ("c", "main")})
+        self.run = Mock(**{"layout.container_at.return_value": ("c", "main")})
         self.misses("connector 'a.out-mid.in' is not joined")
         self.is_at("inactive")
         self.has_faults()

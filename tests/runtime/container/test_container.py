@@ -124,12 +124,12 @@ def test_what_takes_part_in_a_move_is_told_its_goal_once(tmp_path: Path) -> None
         prepared: Future[Runner] = Future()
         container._preparing[keys[2]] = specs[2], prepared
         container._hear(spec)
-        moving[0].gate.begin_migration.assert_called_once_with()
+        moving[0].gate.allow_pause.assert_called_once_with()
         moving[1].aim.assert_called_once_with("inactive")
         prepared.set_result(new := Mock())
         assert container._settle()
         container._server.close()
-    moving[0].gate.begin_migration.assert_called_once_with()
+    moving[0].gate.allow_pause.assert_called_once_with()
     moving[1].aim.assert_called_once_with("inactive")
     new.aim.assert_called_once_with("active")
 

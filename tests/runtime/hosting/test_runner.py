@@ -114,7 +114,7 @@ def _reached(runner: Runner, state: State) -> Recorder:
 
 
 def rest(runner: Runner, limit: float) -> None:
-    runner.gate.begin_migration()
+    runner.gate.allow_pause()
     runner.gate.pause_for_migration(limit)
 
 
@@ -487,7 +487,7 @@ def test_a_pause_that_comes_after_the_move_is_refused(
 ) -> None:
     runner = running.start(Recorder)
     component = reach(runner, "active")
-    runner.gate.begin_migration()
+    runner.gate.allow_pause()
     runner.aim("active")  # the move is over
     with pytest.raises(RunError, match="component 'one' does not move"):
         runner.gate.pause_for_migration(LIMIT)
@@ -498,7 +498,7 @@ def test_a_pause_that_comes_after_the_move_is_refused(
 def test_a_pause_that_waits_ends_with_the_move(running: Fixture) -> None:
     runner = running.start(Recorder)
     component = reach(runner, "active")
-    runner.gate.begin_migration()
+    runner.gate.allow_pause()
     runner.exclusion.enter(7, LIMIT)
     with ThreadPoolExecutor() as pool:
         late = pool.submit(runner.gate.pause_for_migration, LIMIT)
@@ -519,7 +519,7 @@ def test_a_pause_that_waits_ends_with_its_own_move(
 
     def meanwhile(limit: float) -> None:
         runner.aim("active")
-        runner.gate.begin_migration()  # for the next move
+        runner.gate.allow_pause()  # for the next move
         pause(limit)
 
     monkeypatch.setattr(runner.gate, "pause", meanwhile)
@@ -535,7 +535,7 @@ def test_goes_on_after_its_code_ran_at_rest(running: Fixture) -> None:
     rest(runner, LIMIT)
     with runner.gate.borrowed():  # a snapshot, say
         runner.aim("active")  # does not wait for it
-        runner.gate.begin_migration()  # nor for the next move
+        runner.gate.allow_pause()  # nor for the next move
         receive(runner, "a")
         with pytest.raises(Timeout):
             runner.exclusion.enter(7, 0.05)

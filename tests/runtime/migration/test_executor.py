@@ -44,7 +44,7 @@ def runner() -> Iterator[Runner]:
     runner.start()
     runner.aim("active")
     assert runner.life_cycle.wait_state({"active", "failed"}, LIMIT) == "active"
-    runner.gate.begin_migration()
+    runner.gate.allow_pause()
     yield runner
     runner.aim("finalized")
     assert runner.wait_ended(LIMIT)
@@ -85,7 +85,7 @@ def test_steps_of_the_migration_before_are_not_taken(
 ) -> None:
     late = executor.receive(batch(OFFER, PAUSE))
     executor.note_deployment(TOLD)  # it rolled back, and the next migration begins
-    runner.gate.begin_migration()
+    runner.gate.allow_pause()
     assert isinstance(executor.receive(batch(OFFER, migration=2))(), StepsDone)
     outcome = late()
     assert isinstance(outcome, StepsFailed)
@@ -98,7 +98,7 @@ def test_a_source_is_not_resumed_by_the_migration_before(
 ) -> None:
     late = executor.receive(batch(ROLL_BACK))
     executor.note_deployment(TOLD)
-    runner.gate.begin_migration()
+    runner.gate.allow_pause()
     moving = batch(OFFER, PAUSE, SEND, migration=2)
     assert isinstance(executor.receive(moving)(), StepsDone)
     assert isinstance(late(), StepsFailed)

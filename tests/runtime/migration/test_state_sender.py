@@ -192,7 +192,7 @@ def texts(runner: Runner) -> tuple[str, ...]:
 
 
 def rest(runner: Runner) -> DirectPipe:
-    runner.gate.begin_migration()
+    runner.gate.allow_pause()
     runner.gate.pause_for_migration(LIMIT)
     channel = DirectPipe(runner)
     channel.sender.send()
@@ -379,7 +379,7 @@ def test_a_large_state_goes_first_and_then_what_changed(
     restore(new, fetch(channel, Request.STATE, LIMIT))
     assert texts(new) == ("a",)
     tell(old, "b")
-    old.gate.begin_migration()
+    old.gate.allow_pause()
     old.gate.pause_for_migration(LIMIT)
     channel.sender.send()
     given = fetch(channel, Request.ALL, LIMIT)
@@ -401,7 +401,7 @@ def test_a_checkpoint_takes_no_change_from_what_is_still_to_be_sent(
     tell(old, "a")
     first = checkpoints.due
     wait_until(lambda: checkpoints.due > first + 0.05)
-    old.gate.begin_migration()
+    old.gate.allow_pause()
     old.gate.pause_for_migration(LIMIT)
     channel.sender.send()
     restore(new, fetch(channel, Request.ALL, LIMIT))
@@ -449,7 +449,7 @@ def test_new_code_that_copies_ahead_gets_all_from_old_code_that_does_not(
     channel = DirectPipe(old)
     restore(new, fetch(channel, Request.STATE, LIMIT))
     tell(old, "a")
-    old.gate.begin_migration()
+    old.gate.allow_pause()
     old.gate.pause_for_migration(LIMIT)
     channel.sender.send()
     restore(new, fetch(channel, Request.ALL, LIMIT))
@@ -594,7 +594,7 @@ def test_a_request_whose_answer_got_lost_gets_it_again(
     channel = DirectPipe(old)
     fetch(channel, Request.STATE, LIMIT)
     tell(old, "a")
-    old.gate.begin_migration()
+    old.gate.allow_pause()
     old.gate.pause_for_migration(LIMIT)
     channel.sender.send()
     lost = fetch(channel, Request.ALL, LIMIT)
@@ -611,7 +611,7 @@ def test_a_state_is_not_kept_when_the_move_led_back(
     channel.sender.refuse("it is at work again")
     old.aim("active")
     tell(old, "a")
-    old.gate.begin_migration()
+    old.gate.allow_pause()
     old.gate.pause_for_migration(LIMIT)
     channel.sender.send()
     assert fetch(channel, Request.ALL, LIMIT).state != before.state
@@ -623,7 +623,7 @@ def test_whoever_asks_waits_until_it_is_given(incarnations: Incarnations) -> Non
     channel = DirectPipe(old)
     with ThreadPoolExecutor(1) as asker:
         asked = asker.submit(fetch, channel, Request.ALL, LIMIT)
-        old.gate.begin_migration()
+        old.gate.allow_pause()
         old.gate.pause_for_migration(LIMIT)
         assert not asked.done()
         channel.sender.send()

@@ -152,7 +152,7 @@ def test_what_comes_back_over_messages_is_taken_and_their_order_stays(
 
     def handle(received: Frame) -> None:
         receiver(received)
-        back = connection.connection()
+        back = connection.current_connection()
         assert back is not None
         back.send_back(message(received.value(TEXT)))
 
@@ -186,7 +186,7 @@ def test_a_source_that_takes_nothing_back_holds_nobody_up(wire: Wire) -> None:
 
     def handle(received: Frame) -> None:
         receiver(received)
-        back = connection.connection()
+        back = connection.current_connection()
         assert back is not None
         while not is_full.is_set() and back.send_back(message("x" * 10_000)):
             pass

@@ -108,14 +108,16 @@ def not_joined(statuses: Statuses, between: Mapping[str, tuple[str, str]]) -> li
     `between`: the keys of those that should be -> the computers of their two ends.
     """
     sentences = [
-        unjoined(connector, *between[connector.key], statuses)
+        why_not_joined(connector, *between[connector.key], statuses)
         for connector in connectors_of(statuses)
         if not connector.ready and connector.key in between
     ]
     return [*dict.fromkeys(sentences)]
 
 
-def unjoined(end: ConnectorStatus, source: str, target: str, statuses: Statuses) -> str:
+def why_not_joined(
+    end: ConnectorStatus, source: str, target: str, statuses: Statuses
+) -> str:
     """Return which connector is not joined, and where that can be looked into."""
     what = f"connector '{end.name}' from '{source}' does not reach '{target}'"
     status = statuses.get(target)

@@ -140,14 +140,14 @@ class ControlServer:
         self._threads.add(threading.current_thread())
         try:
             with connection, contextlib.suppress(WireError, RunError):
-                result = self._served(connection)
+                result = self._respond(connection)
                 if result is not None:
                     frame.send_record(connection, result)
         finally:
             self._threads.discard(threading.current_thread())
             self._free.release()
 
-    def _served(self, connection: socket.socket) -> Result | Refusal | None:
+    def _respond(self, connection: socket.socket) -> Result | Refusal | None:
         """Return the result of the command that comes in, or why it is none."""
         try:
             command: Command = frame.receive_record(connection, Command)
@@ -157,16 +157,16 @@ class ControlServer:
             why = error.__cause__ or error
             return Refusal(f"robot '{self._robot}' knows no such command: {why}")
         if isinstance(command, RecordCommand | StopCommand):
-            return self._result(connection, command)
+            return self._result_when_up(connection, command)
         if not self._others.acquire(blocking=False):
             text = f"robot '{self._robot}' has {MOST_OTHERS} commands under way"
             return Refusal(f"{text}: ask again when some are done", "RunError")
         try:
-            return self._result(connection, command)
+            return self._result_when_up(connection, command)
         finally:
             self._others.release()
 
-    def _result(
+    def _result_when_up(
         self, connection: socket.socket, command: Command
     ) -> Result | Refusal | None:
         """Return the result once it is there; None when the client has left."""
@@ -180,9 +180,9 @@ class ControlServer:
                 return Refusal(f"robot '{self._robot}' did not start", "RunError")
         if self._submit is None or _has_left(connection):
             return None  # it gave up while this process was stopped, say
-        return self._answer(connection, self._submit(command))
+        return self._await_result(connection, self._submit(command))
 
-    def _answer(
+    def _await_result(
         self, connection: socket.socket, future: Future[Result | Refusal]
     ) -> Result | Refusal | None:
         while not wait([future], _LOOK_EVERY).done:

@@ -61,7 +61,9 @@ class DeploymentLayout:
         self._code: dict[tuple[str, str], str] = {}
         self._weigh = weigh
         self._folder = folder
-        self._homes = {c.name: a for a in robot.architectures for c in a.components}
+        self._architecture_of = {
+            c.name: a for a in robot.architectures for c in a.components
+        }
         self._weights = cpu_weights(robot)
         self._components = {c.name: c for c in robot.components()}
         self.computers = {c.name: c for c in robot.computers}
@@ -76,7 +78,7 @@ class DeploymentLayout:
         ]
 
         self._ends = _ends(robot)
-        self._slots = _slots(robot, self._homes)
+        self._slots = _slots(robot, self._architecture_of)
         self._parts = _chain_parts(robot)
         self._carries = _chains_over(robot, self._slots)
         self._answers = _chains_over(robot, self._slots, answers=True)
@@ -84,7 +86,7 @@ class DeploymentLayout:
     def container_of(self, incarnation: Incarnation) -> str:
         """Return its container's name; other code has its own: Python imports once."""
         component = self._components[incarnation.component]
-        container = _container(self._homes[component.name], component)
+        container = _container(self._architecture_of[component.name], component)
         # no name has a dot in it, so this is no other container's name
         other = f"..{incarnation.code[:_DIGITS]}" if incarnation.code else ""
         return container + other
@@ -98,7 +100,7 @@ class DeploymentLayout:
             return container
         return f"{gateways.get(target.computer, _NOT_KNOWN)}/{container}"
 
-    def specs(
+    def deployments(
         self, desired: Desired, gateways: Mapping[str, str]
     ) -> dict[str, Deployment]:
         """Return what should run on each computer, by its name."""
@@ -109,11 +111,11 @@ class DeploymentLayout:
         }
         groups: dict[tuple[str, str], list[Incarnation]] = {}
         for incarnation in placed:
-            groups.setdefault(self.home_of(incarnation), []).append(incarnation)
+            groups.setdefault(self.container_at(incarnation), []).append(incarnation)
         for at, inside in groups.items():
             computer, container = at
             code = inside[0].code or self._robot.deployed
-            weight = self._weights[self._homes[inside[0].component].name]
+            weight = self._weights[self._architecture_of[inside[0].component].name]
             containers[computer].append(
                 ContainerSpec(
                     name=container,
@@ -221,7 +223,7 @@ class DeploymentLayout:
             answers=() if connector.record else self._answers.get(slot, ()),
         )
 
-    def home_of(self, incarnation: Incarnation) -> tuple[str, str]:
+    def container_at(self, incarnation: Incarnation) -> tuple[str, str]:
         """Return its computer and its container."""
         return incarnation.computer, self.container_of(incarnation)
 
@@ -254,6 +256,7 @@ class DeploymentLayout:
             checkpoint=component.checkpoint,
             restart_when_hung=component.restart_when_hung,
             gently=incarnation.gently,
+            follows=incarnation.gently and not incarnation.unjoined,
             chains=self._parts.get(component.name, ()),
             leased=component.name in self.leased,
             held=incarnation.held,
@@ -301,7 +304,10 @@ class DeploymentLayout:
                     if target.parting and not source.parting:
                         continue
                     spec = self.joined(connector, source, target, gateways)
-                    for home in {self.home_of(source): 1, self.home_of(target): 1}:
+                    for home in {
+                        self.container_at(source): 1,
+                        self.container_at(target): 1,
+                    }:
                         found.setdefault(home, []).append(spec)
         return found
 

@@ -266,9 +266,11 @@ class DesiredState:
             is_last = self.desired.is_stopped
             self._deployments = {
                 computer: structs.replace(
-                    spec, desired=encoded, term=term, is_last=is_last
+                    deployment, desired=encoded, term=term, is_last=is_last
                 )
-                for computer, spec in self.layout.specs(self.desired, now[1]).items()
+                for computer, deployment in self.layout.deployments(
+                    self.desired, now[1]
+                ).items()
             }
             self._deployed_for = now
         for computer, deployment in self._deployments.items():

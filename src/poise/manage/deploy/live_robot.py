@@ -314,7 +314,7 @@ class LiveRobot(DesiredState):
         known = unresponsive_containers(self.agents.statuses())
         if not known:
             return []
-        places = dict.fromkeys(map(self.layout.home_of, incarnations))
+        places = dict.fromkeys(map(self.layout.container_at, incarnations))
         return [
             f"container '{place[1]}' on '{place[0]}' does not respond: {known[place]}"
             for place in places
@@ -441,7 +441,7 @@ class LiveRobot(DesiredState):
                 place = computer, fault.container
                 faults.setdefault(place, []).append((computer, fault))
         for incarnation in incarnations if faults else ():
-            place = self.layout.home_of(incarnation)
+            place = self.layout.container_at(incarnation)
             found = self.reported(incarnation)
             is_there = found is not None and found.state != "unconfigured"
             if not is_there and len(same := faults.get(place, ())) >= _CRASHES:

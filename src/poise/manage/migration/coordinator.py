@@ -308,7 +308,9 @@ class Migration:
         """Send each container its steps; yield these and the outcome as it is known."""
         batches: dict[tuple[str, str], list[PlacedStep]] = {}
         for placed in steps:
-            batches.setdefault(self._live.layout.home_of(placed[0]), []).append(placed)
+            batches.setdefault(self._live.layout.container_at(placed[0]), []).append(
+                placed
+            )
         by_number = {next(self._live.batch_numbers): key for key in batches}
         told = [
             (

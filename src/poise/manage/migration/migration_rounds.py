@@ -198,7 +198,7 @@ class MigrationRounds:
             sender = self._others[connector.between[0].component]
             if sender.computer in self._away:
                 continue
-            home = self._layout.home_of(sender)
+            home = self._layout.container_at(sender)
             found.setdefault(home, (sender, []))[1].append(connector)
         return found.values()
 

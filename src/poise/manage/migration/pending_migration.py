@@ -50,7 +50,7 @@ class Stall:
             raise RunError(f"{text}: {'; '.join(missing)}")
 
     def _raise_on_faults(self, wanted: Collection[Incarnation]) -> None:
-        places = set(map(self._live.layout.home_of, wanted))
+        places = set(map(self._live.layout.container_at, wanted))
         later = faults_after(self._faults_before, self._live.agents.statuses())
         if faults := [
             (computer, fault)
@@ -62,7 +62,7 @@ class Stall:
     def _is_configuring(self, wanted: Collection[Incarnation]) -> bool:
         """Return whether one is being started, imported or configured."""
         current = self._live.current()
-        places = set(map(self._live.layout.home_of, wanted))
+        places = set(map(self._live.layout.container_at, wanted))
         states = {c.key: c.state for c in components_of(current)}
         return any(states.get(w.key) == "unconfigured" for w in wanted) or any(
             health.state == "starting" and (computer, health.name) in places

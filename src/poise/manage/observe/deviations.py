@@ -16,7 +16,11 @@ from msgspec import Struct
 
 from poise.clock import time_of_day
 from poise.errors import last_error
-from poise.manage.agent_connections.statuses import Statuses, connectors_of, unjoined
+from poise.manage.agent_connections.statuses import (
+    Statuses,
+    connectors_of,
+    why_not_joined,
+)
 from poise.model.hardware import Computer
 from poise.units import format_amount
 from poise.wire.records.status_records import (
@@ -122,7 +126,7 @@ def find_unjoined(
     for connector in layout.connectors(computers) if unready else ():
         if (name := connector.name) in unready:
             source, target = (computers[end.component] for end in connector.between)
-            what = unjoined(unready[name], source, target, statuses)
+            what = why_not_joined(unready[name], source, target, statuses)
             found[name] = Deviation(what=what, computer=source, since=now)
     return found
 

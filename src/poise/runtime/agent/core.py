@@ -153,7 +153,7 @@ class AgentCore:
         note = self.supervisor.note
         outcome = self.supervised.attempt(part_of(container), note, container, record)
         if outcome is not None:
-            self.supervised.attempt("steps", self._pending.end, outcome)
+            self.supervised.attempt("steps", self._pending.answer, outcome)
 
     def on_deaf(self, container: str, why: str) -> None:
         """Kill a container that cannot be understood, or that closed its connection."""

@@ -225,7 +225,7 @@ class ReceivingEnd(Struct, frozen=True, kw_only=True):
                 return serve(received)
             try:
                 if received.kind is FrameKind.CREDIT_REQUEST:
-                    issuer.requested(received, connection.connection())
+                    issuer.requested(received, connection.current_connection())
                     return None
                 latency = received.age + clock.offset
                 counts.add_message(0, received.size, latency, clock.error)

@@ -118,7 +118,7 @@ class Container:
         self._broken: dict[
             ComponentKey, tuple[ComponentSpec | None, ComponentStatus]
         ] = {}
-        self._unjoined: dict[ComponentKey, ComponentStatus] = {}
+        self._not_wired: dict[ComponentKey, ComponentStatus] = {}
         self._steps = MigrationExecutor(self._runners, self._wiring, self._server)
         # steps wait for components and for other computers; the control thread must not
         self._step_threads = ThreadPoolExecutor(_STEP_THREADS, "step", go_first)
@@ -170,7 +170,7 @@ class Container:
         self._waker.wake()
 
     def _serve(self) -> None:
-        report_at, unjoined, missed = 0.0, self._wiring.connect(), 0
+        report_at, unanswered, missed = 0.0, self._wiring.connect(), 0
         has_news = False
         orphans = Orphans()
         while not self._stopping:
@@ -180,16 +180,16 @@ class Container:
             beat_at = self._clock.now() + BEAT_EVERY
             news_at = self._news_waits_until if has_news else report_at
             due = min(report_at, news_at, beat_at, self._link.due)
-            if self._watch_inputs() or unjoined:
+            if self._watch_inputs() or unanswered:
                 due = min(due, self._clock.now() + _JOINING_EVERY)
             has_news |= self._listen(max(0.0, due - self._clock.now()))
             has_news |= self._settle()
             self._raise_on_hang()
             self._note_pauses()
             self._taps.end_unread()
-            before = unjoined, missed
-            unjoined, missed = self._wiring.connect(), self._missed()
-            has_news |= (unjoined, missed) != before
+            before = unanswered, missed
+            unanswered, missed = self._wiring.connect(), self._missed()
+            has_news |= (unanswered, missed) != before
             now = self._clock.now()
             if now >= report_at or (has_news and now >= self._news_waits_until):
                 self._report(self._status())
@@ -336,7 +336,7 @@ class Container:
             elif new is not None and key not in new:
                 continue
             elif (goal := wanted[key].goal) == "stay":
-                runner.gate.begin_migration()
+                runner.gate.allow_pause()
             else:
                 runner.note_spec(wanted[key])
                 runner.aim(goal)
@@ -409,7 +409,7 @@ class Container:
         """Join what is to be joined; what could not be is tried again every time."""
         runners = {key: self._runners[key] for key in staying}
         troubles = self._wiring.apply(spec.connectors, runners)
-        self._unjoined = {
+        self._not_wired = {
             key: _failed(key, "be joined", text) for key, text in troubles.items()
         }
 
@@ -455,7 +455,7 @@ class Container:
             or self._thread_failures.trouble()
             or output_trouble(),
             cpu=used,
-            components=tuple((components | broken | self._unjoined).values()),
+            components=tuple((components | broken | self._not_wired).values()),
             connectors=self._wiring.status(),
         )
 

@@ -162,12 +162,12 @@ class ExecutionGate:
         self._migration: object = None
         self._awaited_idle: threading.Event | None = None
 
-    def begin_migration(self) -> None:
+    def allow_pause(self) -> None:
         """Allow a pause for a migration; what the one before paused resumes."""
         self._migration = object()  # one for each: a pause for the last one is late
         self.resume()
 
-    def end_migration(self) -> None:
+    def refuse_pause(self) -> None:
         """Refuse a pause for a migration."""
         self._migration = None
 

@@ -81,6 +81,7 @@ class Runner:
                 request=self.news.request,
                 calls=self.started,
                 listen=lambda source: self.endpoints.mailbox.listen(source),  # noqa: PLW0108, made later
+                follows=spec.follows,
                 takes_over=lambda: self.life_cycle.goal == "ready",
                 age=lambda port: self.endpoints.mailbox.age(port),  # noqa: PLW0108
             ),
@@ -156,7 +157,7 @@ class Runner:
 
     def aim(self, goal: LifeCycleGoal) -> None:
         """Set the goal; harmless when repeated. To be active, a pause ends."""
-        self.gate.end_migration()
+        self.gate.refuse_pause()
         self.owes_changes = False
         self.life_cycle.aim(goal)
         # in a hook it resumes by itself when that ends, which nobody should wait for

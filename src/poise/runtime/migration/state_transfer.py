@@ -76,7 +76,6 @@ class StateTransfer(Struct, frozen=True, kw_only=True):
     # Frames with what `snapshot` or `snapshot_delta` gave; empty: nothing
     state: bytes = b""
     state_type: str = ""  # The type of the state, by `state_check.describe_type`
-    # Frames with what `snapshot` or `snapshot_delta` gave; empty: nothing
     delta: bytes = b""
     # Ports, frames and stamps of the messages and one-way calls that wait, oldest first
     messages: tuple[tuple[str, bytes, Mapping[str, Stamp]], ...] = ()

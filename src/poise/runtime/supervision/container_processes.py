@@ -290,7 +290,7 @@ class PendingRequests:
         )
         return size + request.value.size > 2 * MOST_PACKED
 
-    def end(self, outcome: ContainerAnswer) -> None:
+    def answer(self, outcome: ContainerAnswer) -> None:
         """Answer with an outcome, unless that was answered before."""
         pending = self._pending.pop(outcome.number, None)
         if pending is not None:
@@ -312,7 +312,7 @@ class PendingRequests:
                 reason = _why_silent(process) if process.silence else late
             else:
                 continue
-            self.end(StepsFailed(pending.request.number, reason))
+            self.answer(StepsFailed(pending.request.number, reason))
 
     def moment(self) -> float:
         """Return when the next request is given up [s]."""

@@ -279,20 +279,20 @@ class Connection:
         return _channel.parse(data, arrays)
 
 
-class _ServedCall(threading.local):
+class _Served(threading.local):
     connection: Connection | None = None
 
 
-_served = _ServedCall()
+_served = _Served()
 
 
-def serve(connection: Connection) -> None:
+def note_served(connection: Connection) -> None:
     """Note the connection whose calls this thread runs from now on."""
     _served.connection = connection
 
 
-def connection() -> Connection | None:
-    """Return the connection over which came what this thread handles."""
+def current_connection() -> Connection | None:
+    """Return the connection whose frame this thread handles; None: it handles none."""
     return _served.connection
 
 

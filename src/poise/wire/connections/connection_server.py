@@ -171,7 +171,7 @@ class ConnectionServer:
         connection.close()
 
     def _serve(self, served: _ServedConnection, keys: Credentials | None) -> None:
-        connection.serve(served.connection)
+        connection.note_served(served.connection)
         try:
             if keys is not None:
                 self._secure(served.connection, keys)

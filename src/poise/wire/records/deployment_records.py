@@ -59,6 +59,8 @@ class ComponentSpec(Struct, frozen=True, kw_only=True):
     restart_when_hung: float = 0.0
     # Whether it is prepared with the CPU time that others leave: they are at work
     gently: bool = False
+    # Whether its predecessor is at work until it takes over
+    follows: bool = False
     chains: tuple[ChainPart, ...] = ()  # Those that it is part of
     # Whether it is inactive while its agent is cut off: it may be active elsewhere
     leased: bool = False
@@ -92,10 +94,8 @@ class ConnectorSpec(Struct, frozen=True, kw_only=True):
     # Where they are
     source_computer: str = ""
     target: str
-    # Which incarnations of the two components it joins
     target_epoch: int = 0
     target_port: str
-    # Where they are
     target_computer: str = ""
     # Where the target's container is reached (`poise.wire.address.Address`); empty for
     # the kind ``direct``
