@@ -113,6 +113,22 @@ def test_shares_are_work_by_capacity_and_speed() -> None:
     assert report.due == pytest.approx(4 * 20 / PERIOD, rel=0.05)
 
 
+@pytest.mark.parametrize(("address", "used"), [(None, 0.004), ("10.0.0.1", 0.002)])
+def test_an_emulated_computer_is_as_quick_as_the_machine(
+    address: str | None, used: float
+) -> None:
+    """Then it stands: so `poise run` and `poise plan` have it, too."""
+    plan = plan_of()
+    robot = slow(plan.robot, a=(1.0, 0.5))
+    computers = tuple(structs.replace(c, address=address) for c in robot.computers)
+    robot = structs.replace(robot, computers=computers)
+    simulated = Rehearsal(structs.replace(plan, robot=robot))._robot
+    group = simulated.computers["a"].cpu.group()
+    group.run(0.01)
+    simulated.scheduler.engine.run(0.004)
+    assert group.used == pytest.approx(used)
+
+
 @pytest.mark.parametrize("seconds", [0.5, 1.0, 1.5])
 def test_the_last_second_counts_and_what_is_left_of_one(seconds: float) -> None:
     plan = plan_of(camera=0.2)

@@ -46,10 +46,12 @@ class SimulatedComputer:
         drift: float = 0.0,
         cores: float = 4.0,
         speed: float = 1.0,
+        *,
+        is_emulated: bool = False,
     ) -> None:
         self.scheduler = scheduler
         self.name = name
-        self.cpu = scheduler.engine.cpu(cores, speed)
+        self.cpu = scheduler.engine.cpu(cores, speed, is_emulated=is_emulated)
         self.wall_ahead = 0.0
         self.processes: dict[int, Process] = {}
         self.pauses: list[list[Process]] = []

@@ -239,7 +239,13 @@ class SimulatedRobot:
             cores = known.capacity.get("cpu", _CORES)
             drift *= _DRIFT
             computer = SimulatedComputer(
-                self.scheduler, known.name, boot, drift, cores, known.speed
+                self.scheduler,
+                known.name,
+                boot,
+                drift,
+                cores,
+                known.speed,
+                is_emulated=known.address is None,
             )
             self.computers[known.name] = computer
             self.disks[known.name] = SimulatedDisk(computer)
