@@ -69,6 +69,12 @@ def test_records_what_runs_until_it_ends(tmp_path: Path) -> None:
         decisions = [value for topic, *_, value in found if topic == "/decisions"]
         assert any("counter" in each["message"] for each in decisions)
 
+        with pytest.MonkeyPatch.context() as patched:  # what comes behind the last look
+            patched.setattr("poise.view.robot_recording._LOOK_EVERY", LONG)
+            short = tmp_path / "short.mcap"
+            poise.record(short, ["counter.count"], seconds=1.0, robot=NAME)
+        assert sum(topic == MESSAGES for topic, *_ in read(short)) > 3
+
         other = tmp_path / "b.mcap"
         sentences: list[str] = []
 

@@ -283,16 +283,31 @@ class Recorder:
         next_read = began
         while self._first:
             self._write_messages(self._first.pop(0))
-        while (now := time.monotonic()) - began < seconds:
-            check()
-            if now >= next_read:
-                next_read = now + _READ_EVERY
-                self._read(now)
-            if self._silent_since is None:
-                for connector in self._connectors:
-                    self._record_messages(connector)
-            tell(now - began, file.summary())
-            time.sleep(min(_LOOK_EVERY, max(0.0, began + seconds - time.monotonic())))
+        try:
+            while (now := time.monotonic()) - began < seconds:
+                check()
+                if now >= next_read:
+                    next_read = now + _READ_EVERY
+                    self._read(now)
+                self._record_all()
+                tell(now - began, file.summary())
+                left = began + seconds - time.monotonic()
+                time.sleep(min(_LOOK_EVERY, max(0.0, left)))
+        except KeyboardInterrupt:
+            self._read_last()
+            raise
+        self._read_last()
+
+    def _record_all(self) -> None:
+        if self._silent_since is None:
+            for connector in self._connectors:
+                self._record_messages(connector)
+
+    def _read_last(self) -> None:
+        """Record what came since the last look, from a robot that answered then."""
+        if self._silent_since is None:
+            self._read(time.monotonic())
+            self._record_all()
 
     def _read(self, now: float) -> None:
         seen = self._live.poll()
