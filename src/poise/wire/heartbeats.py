@@ -76,17 +76,19 @@ class Contact:
 
     def note(self, beat: Heartbeat, echo: Echo | None, now: float) -> None:
         """Take in a heartbeat, which says what the other has heard of this side."""
-        if echo is not None and not echo.sent <= now:
-            echo = None  # no heartbeat went out then: it would extend leases for ever
         gap = beat.number - self.last.number - 1
         self._lost.append(min(gap, _IN_A_ROW) if gap > 0 else 0)
         self.last, self.heard_at = beat, now
-        if echo is not None and (self.acked is None or echo.sent > self.acked):
-            self.acked = echo.sent
-            self._delays.append(max(0.0, now - echo.sent - echo.held) / 2)
-        if echo is not None and beat.managed is not None:
-            granted = echo.sent - max(0.0, beat.managed - echo.held)
-            self.granted = max(granted, self.granted or granted)
+        if echo is None or not (sent := echo.sent) <= now:
+            return  # no heartbeat went out then: it would extend leases for ever
+        held, managed = echo.held, beat.managed
+        if self.acked is None or sent > self.acked:
+            self.acked = sent
+            self._delays.append(max(0.0, now - sent - held) / 2)
+        if managed is not None:
+            granted = sent - (managed - held) if managed > held else sent
+            if self.granted is None or granted > self.granted:
+                self.granted = granted
 
     def quality(self, now: float) -> LinkQuality:
         """Return how the way from and to the other is."""
@@ -138,7 +140,8 @@ class Contacts:
         elif beat.number <= contact.last.number:
             return False  # it was overtaken
         contact.note(beat, beat.heard.get(self.name), now)
-        self.was_revoked = self.was_revoked or bool(beat.revoked)
+        if beat.revoked:
+            self.was_revoked = True
         return True
 
     def forget(self, name: str) -> None:
