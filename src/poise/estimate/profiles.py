@@ -435,8 +435,9 @@ def read(path: Path) -> Profile:
     try:
         text = path.read_text("utf-8")
     except (OSError, UnicodeDecodeError) as error:
+        why = getattr(error, "strerror", "") or error
         raise RobotError(
-            f"profile {path} cannot be read: {error}. `poise profile` writes it"
+            f"profile {path} cannot be read: {why}. `poise profile` writes it"
         ) from error
     return from_text(text, str(path))
 

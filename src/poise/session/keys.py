@@ -94,7 +94,7 @@ class Authority(Struct, frozen=True):
                 if issued.to_lead.is_dir():
                     shutil.rmtree(issued.to_lead)
         except OSError as error:
-            raise UsageError(f"{folder} cannot be written: {error}") from None
+            raise UsageError(f"{folder} cannot be written: {error.strerror}") from None
         finally:
             shutil.rmtree(beside, ignore_errors=True)
         return issued
@@ -121,7 +121,7 @@ class Authority(Struct, frozen=True):
                         _write(owner / f"previous{suffix}", before)
                     (owner / f"next{suffix}").replace(owner / f"current{suffix}")
         except OSError as error:
-            raise UsageError(f"{owner} cannot be written: {error}") from None
+            raise UsageError(f"{owner} cannot be written: {error.strerror}") from None
         return True
 
     @property
@@ -163,8 +163,9 @@ class Authority(Struct, frozen=True):
             return (self.folder / _OWNER / name).read_bytes()
         except OSError as error:
             raise UsageError(
-                f"the authority of robot '{self.robot}' is not here ({error}): "
-                "`poise keys init` makes one, once, on the computer of its owner"
+                f"the authority of robot '{self.robot}' is not here "
+                f"({self.folder / _OWNER / name}: {error.strerror}): `poise keys init` "
+                "makes one, once, on the computer of its owner"
             ) from None
 
 
@@ -196,7 +197,7 @@ def init_keys(robot: str, folder: Path | None = None) -> Authority:
         authority.folder.chmod(0o700)
         _make_authority(robot, owner, "current")
     except OSError as error:
-        raise UsageError(f"{owner} cannot be written: {error}") from None
+        raise UsageError(f"{owner} cannot be written: {error.strerror}") from None
     authority.issue("owner", "manager", authority.folder)
     return authority
 

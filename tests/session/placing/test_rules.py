@@ -147,7 +147,7 @@ def test_all_that_is_wrong_with_a_file_is_said_at_once(
     ("rule", "said"),
     [
         ("random:x", "the seed is a whole number, as in random:7"),
-        ("nowhere.yaml", "cannot be read"),
+        ("nowhere.yaml", "nowhere.yaml cannot be read: No such file or directory$"),
         ("fast", "no method 'fast'"),
     ],
 )

@@ -37,3 +37,4 @@ def test_what_is_neither_is_refused_by_a_short_message(text: str) -> None:
     with pytest.raises(UsageError, match="is neither JSON nor YAML") as refused:
         value_of(text)
     assert len(str(refused.value)) < 500
+    assert "\n" not in str(refused.value)

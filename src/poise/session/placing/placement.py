@@ -125,7 +125,8 @@ def _read(path: Path) -> tuple[Mapping[object, object], frozenset[str]]:
         found = yaml.load(text, _NamesLoader)  # noqa: S506, it is safe
     except (OSError, ValueError, yaml.YAMLError) as error:
         # PyYAML raises ValueError for some tagged values, such as !!int x
-        raise UsageError(f"placement {path} cannot be read: {error}") from error
+        why = getattr(error, "strerror", "") or error
+        raise UsageError(f"placement {path} cannot be read: {why}") from error
     suspended: object = None
     if isinstance(found, dict) and isinstance(found.get("placement"), dict):
         suspended, found = found.get("suspended"), found["placement"]
