@@ -665,6 +665,24 @@ def test_an_alternative_takes_the_place_of_what_leaves_no_room() -> None:
     assert any("takes the place of 'see-arch': " in said for said in rig.said())
 
 
+def test_an_alternative_begins_instead_of_what_may_be_at_work_out_of_reach() -> None:
+    actions = act("a", "see"), act("b", "go"), Action(name="c", functions=("see",))
+    robot = with_lesser(robot_with(task("t", *actions))).with_components(
+        lambda c: replace(c, only=()) if c.name == "seeer" else c
+    )
+    rig = Rig(robot, "t")
+    rig.run.goes_on_without_lost = True
+    epoch = rig.run.next_epoch("seeer")
+    moved = replace(rig.run.placed["seeer"], computer="spare", epoch=epoch)
+    rig.run.commit(rig.run.desired.placing([moved]), "it moved")
+    for where in (rig.agents.gone, rig.agents.heard, rig.agents.lasting_leases):
+        where.add("spare")
+    rig.end("seeer")
+    rig.end("goer")
+    assert rig.states() == {"t": ("going", "")}
+    assert rig.active() == {"glancer"}
+
+
 def test_no_alternative_takes_the_place_of_what_another_action_uses() -> None:
     more = act("b", "go", "say")
     tasks = task("t", act("a", "see")), task("u", more)

@@ -214,7 +214,7 @@ class Admission:
             conditions=conditions_of(situation),
             seed=self._tasks.saved.number,
         ).robot
-        situation = replace(situation, robot=robot)
+        situation = replace(situation, robot=self._without_stuck(robot))
         left_out = suspended | self._serving.broken(situation.lost)
         going, due, by_plan = self._tasks.going(), self._tasks.due(), dict[str, str]()
         for attempt in new:
@@ -246,6 +246,31 @@ class Admission:
                 return whole
         self._end_or_block(going[0], whole.why)
         return whole
+
+    def _without_stuck(self, robot: Robot) -> Robot:
+        """Return it without what cannot begin, but has an alternative that can.
+
+        What an action ended may be at work yet, on a computer that is out of reach.
+        """
+        live, away = self._live, self._live.agents.out_of_reach()
+        stuck = {
+            each.component
+            for each in live.desired.left_behind
+            if each.computer in away
+            and each.component not in live.placed
+            and (
+                each.component not in live.layout.leased
+                or live.agents.heartbeats.is_heard(each.computer)
+            )
+        }
+        free = [
+            a
+            for a in robot.architectures
+            if stuck.isdisjoint(c.name for c in a.components)
+        ]
+        functions = {a.function for a in free}
+        lacking = (a for a in robot.architectures if a.function not in functions)
+        return replace(robot, architectures=(*free, *lacking))
 
     def _exchangeable(self, due: Iterable[Attempt]) -> set[str]:
         """Return what runs for no action at work, and has alternatives for new ones."""
