@@ -94,7 +94,9 @@ class Authority(Struct, frozen=True):
                 if issued.to_lead.is_dir():
                     shutil.rmtree(issued.to_lead)
         except OSError as error:
-            raise UsageError(f"{folder} cannot be written: {error.strerror}") from None
+            raise UsageError(
+                f"{folder} cannot be written: {error.strerror or error}"
+            ) from None
         finally:
             shutil.rmtree(beside, ignore_errors=True)
         return issued
@@ -121,7 +123,9 @@ class Authority(Struct, frozen=True):
                         _write(owner / f"previous{suffix}", before)
                     (owner / f"next{suffix}").replace(owner / f"current{suffix}")
         except OSError as error:
-            raise UsageError(f"{owner} cannot be written: {error.strerror}") from None
+            raise UsageError(
+                f"{owner} cannot be written: {error.strerror or error}"
+            ) from None
         return True
 
     @property
@@ -197,7 +201,9 @@ def init_keys(robot: str, folder: Path | None = None) -> Authority:
         authority.folder.chmod(0o700)
         _make_authority(robot, owner, "current")
     except OSError as error:
-        raise UsageError(f"{owner} cannot be written: {error.strerror}") from None
+        raise UsageError(
+            f"{owner} cannot be written: {error.strerror or error}"
+        ) from None
     authority.issue("owner", "manager", authority.folder)
     return authority
 

@@ -50,7 +50,7 @@ def value_of(text: str) -> Any:  # noqa: ANN401, YAML's
         return yaml.safe_load(text)
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         # PyYAML raises ValueError for some dates and numbers, such as 2026-02-30
-        why = getattr(error, "problem", "") or error
+        why = getattr(error, "problem", "") or str(error).partition("\n")[0]
         what = f"{quoted(text)} is neither JSON nor YAML: {why}"
         raise UsageError(what) from error
 
