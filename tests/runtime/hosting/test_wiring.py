@@ -405,6 +405,19 @@ def test_both_ends_count_calls(pair: Pair) -> None:
 
 
 @pytest.mark.parametrize("pair", ["local", "remote"], indirect=True)
+def test_a_call_that_was_sent_on_to_another_place_is_not_counted_here(
+    pair: Pair,
+) -> None:
+    source, _ = start(pair, "sums", limit=0.1)
+    moved = pair.runners["target", 0]
+    moved.gate.pause(LIMIT)
+    moved.exclusion.redirect()
+    with pytest.raises(Timeout, match="did not come back"):
+        source.sums.add(1, 2)
+    assert (status(pair, "source").calls, status(pair, "target").calls) == (1, 0)
+
+
+@pytest.mark.parametrize("pair", ["local", "remote"], indirect=True)
 def test_what_goes_out_at_one_end_comes_in_at_the_other(pair: Pair) -> None:
     source, _ = start(pair, "sums")
     big = Scan(1, np.zeros(50_000, np.float32))

@@ -260,9 +260,9 @@ class ReceivingEnd(Struct, frozen=True, kw_only=True):
                 answered = answers.get(received.tag) or _refuse(port)
                 answer = answered(received, clock.most)
             except Redirected:
-                answer = segments(_NOTHING, None, _MOVED)
-                if target.failure:
-                    answer = _failure(Unavailable(target.failure))
+                if not target.failure:  # the call counts where it is run
+                    return segments(_NOTHING, None, _MOVED)
+                answer = _failure(Unavailable(target.failure))
             except (CalleeError, LeaseEnded, Timeout, WireError) as error:
                 if isinstance(error, WireError):
                     tell(error)
