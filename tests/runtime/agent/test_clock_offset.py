@@ -86,3 +86,14 @@ def test_knows_nothing_when_trips_that_overtook_each_other_contradict_all() -> N
     clock.add(5.0, 105.0, 105.0, 5.01)  # 99.99 s to 100 s ahead
     clock.add(3.0, 203.0, 203.0, 5.02)  # 197.98 s to 200 s ahead
     assert clock.at(5.1) is None
+
+
+def test_forgets_a_trip_that_overtook_and_contradicts_a_later_one() -> None:
+    """It is neither the first that is known nor the last."""
+    clock = ClockOffset()
+    clock.add(5.0, 105.0, 105.0, 5.01)
+    clock.add(3.0, 203.0, 203.0, 5.02)
+    clock.add(6.0, 106.0, 106.0, 6.01)
+    offset = clock.at(6.01)
+    assert offset is not None
+    assert offset.offset == pytest.approx(100, abs=0.01)

@@ -85,7 +85,7 @@ class ClockOffset:
         while low <= high:
             sent, low_then, high_then, _ = trips.pop()
             low, high = max(low, low_then - wide), min(high, high_then + wide)
-        while self._sent and self._sent[0] <= sent:
+        while self._sent and min(self._sent) <= sent:
             for values in self._kept:
                 values.popleft()
 
