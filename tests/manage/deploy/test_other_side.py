@@ -195,6 +195,17 @@ def test_what_the_other_side_ran_goes_on_there_with_its_state(robot: Robot) -> N
     assert cut.run.claimed == {"left", "right"}
 
 
+def test_what_joins_otherwise_than_the_file_says_is_told(robot: Robot) -> None:
+    """The file was changed while its computer was out of reach."""
+    now = robot.with_components(lambda c: replace(c, checkpoint=2.0))
+    cut = Cut(now, "right", GRABBER, THINKER)
+    cut.take_over()
+    cut.heal(GRABBER, robot=robot)
+    assert cut.goals("grabber") == [("left", 0, "active")]
+    (told,) = [e.what for e in cut.journal.entries() if "as it was started" in e.what]
+    assert "'grabber' goes on as it was started: its checkpoint changed from" in told
+
+
 def test_what_nobody_ran_goes_on_where_it_was(robot: Robot) -> None:
     cut = Cut(robot, "right", GRABBER, THINKER, fenced=True)
     cut.take_over()

@@ -153,7 +153,7 @@ def adopt(
     counts = authoritative(found, robot, committed)
     if keeps:
         wanted = _with_providers(robot, wanted, counts)
-    restarts = dict(_differences(counts, robot, layout, wanted))
+    restarts = dict(differences(counts, robot, layout, wanted))
     kept = {
         n: reported
         for n, reported in counts.items()
@@ -235,16 +235,16 @@ def _with_providers(
     return chosen
 
 
-def _differences(
+def differences(
     counts: Mapping[str, ReportedIncarnation],
     robot: Robot,
     layout: DeploymentLayout,
-    wanted: Mapping[str, str],
+    wanted: Container[str],
 ) -> Iterator[tuple[str, str]]:
-    """Yield the components that cannot keep running, and why."""
+    """Yield the wanted components that are not as the robot file says, and why."""
     allowed = allowed_computers(robot)
     reasons, stale = {}, {}
-    for name in sorted(counts.keys() & wanted.keys()):
+    for name in sorted(name for name in counts if name in wanted):
         reported, now = counts[name], _spec_now(counts[name], layout)
         if reported.computer not in allowed[name]:
             reasons[name] = f"it may not run on '{reported.computer}' any more"

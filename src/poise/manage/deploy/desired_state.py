@@ -15,7 +15,7 @@ from poise.clock import Clock, SystemClock, wall_time
 from poise.estimate.code_version import version_of
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.statuses import gateways
-from poise.manage.deploy.adoption import as_committed, found_in, joined_by
+from poise.manage.deploy.adoption import as_committed, differences, found_in, joined_by
 from poise.manage.deploy.deployment_layout import DeploymentLayout
 from poise.manage.deploy.desired import Desired, Incarnation, OtherCode, difference
 from poise.manage.deploy.reconciler import JoiningComputer, Reconciler
@@ -343,3 +343,10 @@ class DesiredState:
         )
         self.claimed |= deployments.keys()
         self.commit(desired, f"components on {names} keep running")
+        going_on = {
+            r.name: r for r in at_work if r.incarnation == self.placed.get(r.name)
+        }
+        for name, why in differences(going_on, self.robot, self.layout, going_on):
+            text = f"component '{name}' goes on as it was started: {why}"
+            way_out = "a move, `poise replace` or a new start makes it as the file says"
+            self.journal.note("wrong", f"{text}; {way_out}")
