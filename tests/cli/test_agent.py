@@ -157,14 +157,19 @@ def test_an_address_to_listen_on_is_an_ip_address(poise: Poise, address: str) ->
     assert "fd00::" in done.stderr
 
 
+@pytest.mark.parametrize("error", [UsageError("no keys"), OSError("no space left")])
 def test_a_service_that_cannot_begin_is_not_begun_again_at_once(
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: pytest.MonkeyPatch, error: Exception
 ) -> None:
+    def refuse(*_: object, **__: object) -> str:
+        raise error
+
     waits: list[float] = []
     monkeypatch.setattr("time.sleep", waits.append)
+    monkeypatch.setattr("poise.cli.agent_command.keys_for", refuse)
     monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
     for _ in range(2):
-        with pytest.raises(UsageError, match="no keys for robot 'hello'"):
+        with pytest.raises(type(error), match=str(error)):
             agent_command("left", "hello", "192.0.2.1")
         monkeypatch.setenv("NOTIFY_SOCKET", "/run/nobody")
     (wait,) = waits

@@ -89,10 +89,15 @@ class Agent:
         self._containers = Path(setup.folder, "run" if setup.account else "")
         try:
             socket_path(self._containers, "")
+            self._path = Path(setup.folder)
+            self._path.mkdir(mode=0o700, parents=True, exist_ok=True)
         except ValueError as error:
             raise UsageError(f"folder of agent '{setup.computer}': {error}") from error
-        self._path = Path(setup.folder)
-        self._path.mkdir(mode=0o700, parents=True, exist_ok=True)
+        except OSError as error:
+            raise UsageError(
+                f"agent '{setup.computer}' cannot use the folder {setup.folder}: "
+                f"{error.strerror}; choose another one with --folder"
+            ) from error
         self._folder = AgentFolder(self._path)
         self._left = self._folder.left()
         if setup.account is not None:

@@ -50,9 +50,8 @@ class Gateway:
                 (host, port), family=family_of(host), backlog=_BACKLOG
             )
         except OSError as error:
-            raise RunError(
-                f"cannot listen on {Endpoint(host, port)}: {error}"
-            ) from None
+            why = str(error.strerror or error).partition(" (while")[0]  # once is enough
+            raise RunError(f"cannot listen on {Endpoint(host, port)}: {why}") from None
         self._address = str(Endpoint(*self._listener.getsockname()[:2]))
         tune(self._listener)
         self._thread = threads.daemon(self._main, "gateway")
