@@ -29,6 +29,7 @@ from typing import Any
 
 import zenoh
 
+from poise.manage.agent_connections import reachability
 from poise.manage.tasks import saved_tasks, task_manager
 from poise.simulation.robot.simulated_process import Process
 from poise.simulation.scheduler import (
@@ -143,6 +144,9 @@ def _clocks(scheduler: Scheduler) -> list[Replaced]:
     def monotonic() -> float:
         return _host(scheduler).computer.monotonic()
 
+    def asleep() -> float:
+        return _host(scheduler).computer.asleep()
+
     def sleep(seconds: float) -> None:
         scheduler.wait(max(seconds, SLACK), "sleep")
 
@@ -152,6 +156,7 @@ def _clocks(scheduler: Scheduler) -> list[Replaced]:
     return [
         (saved_tasks, "boot_id", boot_id),
         (task_manager, "boot_id", boot_id),
+        (reachability, "time_asleep", asleep),
         (time, "time", wall),
         (time, "localtime", time.gmtime),
         (time, "monotonic", monotonic),

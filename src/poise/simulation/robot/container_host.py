@@ -39,6 +39,7 @@ class SimulatedControl:
     ) -> None:
         self._agent = agent
         self._container = container
+        self.extend_lease = container.extend_lease  # which has no page
         self._beats = 0
         self._is_born = born
         self._is_closed = False
@@ -84,10 +85,6 @@ class SimulatedControl:
             return None
         self._beats += not self._container.process.is_paused
         return self._beats
-
-    def extend_lease(self, until: float) -> None:
-        """Write the end of the lease into the container's page."""
-        self._container.extend_lease(until)
 
     def is_lease_past(self) -> bool:
         """Return whether the page says that the lease has ended."""

@@ -290,6 +290,8 @@ class SimulatedContainer:
             (spec.target_computer, spec.target, spec.target_epoch),
         ):
             at = computer or here
+            if at == here and (component, epoch) in self.components:
+                continue
             other = self.world.container_of(at, component, epoch)
             is_cut = at != here and (
                 self.world.network.is_cut(at, here)

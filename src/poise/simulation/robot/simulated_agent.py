@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING
 import msgspec
 import zenoh
 
-from poise.clock import SystemClock, time_asleep
 from poise.endpoint import Endpoint
 from poise.runtime.agent.core import AgentCore
 from poise.runtime.agent.inbox import AgentInbox
 from poise.runtime.agent.surroundings import AgentSetup, AgentState, Reply, Surroundings
 from poise.runtime.supervision.health import ContainerUse, Usage
 from poise.simulation._engine import Sender
-from poise.simulation.component_models import drawn
+from poise.simulation.component_models import SIZE, drawn
 from poise.simulation.robot.container_host import (
     SimulatedAdoption,
     SimulatedHost,
@@ -25,7 +24,11 @@ from poise.simulation.robot.container_host import (
 )
 from poise.simulation.robot.modelled_component import SimulatedComponent
 from poise.simulation.robot.modelled_container import SimulatedContainer
-from poise.simulation.robot.simulated_process import Process, SimulatedComputer
+from poise.simulation.robot.simulated_process import (
+    Process,
+    ProcessClock,
+    SimulatedComputer,
+)
 from poise.simulation.scheduler import SimulatedTask
 from poise.wire.control_session import identity_key, locator, open_session
 from poise.wire.heartbeats import Hear, Heartbeats, NextBeat
@@ -181,7 +184,8 @@ class SimulatedAgent:
         put: Callable[[bytes], object],
         appear: Callable[[], None],
     ) -> Surroundings:
-        clock, process = SystemClock(), self.process
+        process, computer = self.process, self.process.computer
+        clock = ProcessClock(computer)
 
         def publish(status: AgentStatus) -> None:
             for error in status.errors:
@@ -195,8 +199,8 @@ class SimulatedAgent:
 
         return Surroundings(
             clock=clock,
-            wall=process.computer.wall,
-            asleep=time_asleep,
+            wall=computer.wall,
+            asleep=computer.asleep,
             random=process.random,
             say=self._say,
             publish=publish,
@@ -267,6 +271,7 @@ class SimulatedSampler:
         self._process = process
         self._put = put
         self._group = process.computer.cpu.group()
+        self._sizes = world.workload.traffic.sizes
         self._encode = msgspec.msgpack.Encoder().encode
         self._before: dict[int, float] = {}
         self.usage: Usage = {}
@@ -317,7 +322,7 @@ class SimulatedSampler:
 
     def _of_sender(self, sender: Sender) -> ConnectorSample:
         name, calls, messages = sender.connector.name, sender.calls, sender.messages
-        size = round((calls + messages) * self._world.workload.traffic.size_of(name))
+        size = round((calls + messages) * self._sizes.get(name, SIZE))
         return ConnectorSample(name, calls, messages, size, 0, 0, sender.drops)
 
 

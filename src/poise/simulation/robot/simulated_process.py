@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from math import inf
 from random import Random
@@ -71,6 +72,10 @@ class SimulatedComputer:
         """Return CLOCK_BOOTTIME [s]."""
         return self._boot + self.scheduler.now * self._rate
 
+    def asleep(self) -> float:
+        """Return for how long it has been suspended [s]."""
+        return self.boottime() - self.monotonic()
+
     def moment_of(self, boottime: float) -> float:
         """Return when CLOCK_BOOTTIME shows so much [virtual s]."""
         return (boottime - self._boot) / self._rate
@@ -135,6 +140,17 @@ class SimulatedComputer:
         self._suspended_at = None
         for process in list(self.processes.values()):
             process.resume()
+
+
+class ProcessClock:
+    """The `Clock` of a process: read far more often than all else of the library."""
+
+    def __init__(self, computer: SimulatedComputer) -> None:
+        self.now = computer.monotonic
+
+    def sleep(self, seconds: float) -> None:
+        """Let the task that runs wait [s]."""
+        time.sleep(seconds)  # of `SimulatedLibrary`
 
 
 class Process:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from msgspec import Struct
 from msgspec.msgpack import encode
 
-from poise.clock import SystemClock, boot_time
+from poise.clock import boot_time
 from poise.errors import PoiseError, TakenOver
 from poise.estimate.demands import kinds_together
 from poise.estimate.outcomes import WELL
@@ -34,7 +34,11 @@ from poise.simulation.network import Addresses, Network, SimulatedDatagrams
 from poise.simulation.robot.modelled_component import SimulatedComponent
 from poise.simulation.robot.modelled_container import Moment, SimulatedContainer
 from poise.simulation.robot.simulated_agent import PORT, SimulatedAgent, SimulatedDisk
-from poise.simulation.robot.simulated_process import Process, SimulatedComputer
+from poise.simulation.robot.simulated_process import (
+    Process,
+    ProcessClock,
+    SimulatedComputer,
+)
 from poise.simulation.scheduler import Scheduler
 from poise.simulation.simulated_library import SimulatedLibrary
 from poise.simulation.workload import SimulatedWork
@@ -127,10 +131,11 @@ class SimulatedManager:
     def _come_up(self) -> None:
         setup, robot = self._setup, self._setup.robot
         journal, samples = Journal(":memory:", self._note), Recording()
+        clock = ProcessClock(self.process.computer)
         with Agents(
             robot.name,
             self._endpoints,
-            SystemClock(),
+            clock,
             samples.add,
             datagrams=self._datagrams,
             election=setup.election,
@@ -146,7 +151,9 @@ class SimulatedManager:
             for name in () if self._is_standby else setup.tasks:
                 asked.start(name, boot_time())
             asked.arbitrate(boot_time())
-            live = self.live = LiveRobot(robot, placement, agents, journal, "/robot")
+            live = self.live = LiveRobot(
+                robot, placement, agents, journal, "/robot", clock=clock
+            )
             live.begin_with(encode(asked.saved))
             live.solve_steps = SOLVE_STEPS
             live.learns = False
