@@ -14,7 +14,7 @@ from poise.manage.adaptation.policy_values import values_of
 from poise.manage.adaptation.situation import Situation
 from poise.manage.migration.transition_plan import missing_cpu
 from poise.manage.observe.chains import ChainAge
-from poise.manage.observe.estimates import DemandEstimate
+from poise.manage.observe.estimates import DemandEstimate, Load
 from poise.model.policy import ComputerValues
 from poise.model.robot import (
     Action,
@@ -146,6 +146,22 @@ def test_what_is_late_for_another_reason_stays_on_a_crowded_computer(
 ) -> None:
     """Its runs take 30 ms of the 100 ms they have: a deadline is missed elsewhere."""
     assert not decide(crowded(situation, takes=0.03)).acts
+
+
+@pytest.mark.parametrize("is_full", [True, False])
+def test_a_burst_that_fills_the_computer_of_what_is_late_counts(
+    situation: Make, *, is_full: bool
+) -> None:
+    """In the mean 0.2 cores fit beside 0.2; now one takes 0.35."""
+    seen = situation(missed=("a",))
+    uses = {"a": 0.15, "b": 0.35} if is_full else {"a": 0.2, "b": 0.2}
+    left = Load(capacity=0.5, used=sum(uses.values()), components=uses)
+    found = decide(replace(seen, loads={**seen.loads, "left": left}))
+    assert found.acts == is_full
+    if is_full:
+        assert found.proposal is not None
+        assert len({*found.proposal.placement.values()}) == 2
+        assert str(found.proposal.shifted["b"]).startswith("35.0% ± 0.0% of a core")
 
 
 def test_what_is_lost_with_its_computer_is_named_where_nothing_helps(

@@ -35,6 +35,7 @@ from poise.manage.adaptation.situation import Situation
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.migration.migration_report import Proposal
 from poise.manage.migration.transition_plan import missing_cpu
+from poise.manage.observe.estimates import DemandEstimate
 from poise.model.check.allowed_computers import allowed_computers
 from poise.model.robot import Robot
 from poise.model.software import importance
@@ -53,6 +54,8 @@ _CROWDED = 0.9
 """A computer is crowded when components need this share of what it has for them."""
 _URGENT, _MOST_URGENT = 1.1, 1.5
 """A late component on a crowded computer is counted with this many times its CPU."""
+_BURST = 1.5
+"""A component that uses this many times what it needs in the mean has a burst."""
 _LEAST = 1e-6
 """A gain below this is none [cores]."""
 
@@ -75,7 +78,7 @@ def decide(
 ) -> Decision:
     """Return whether to change the placement, and why."""
     gone = _gone(situation)
-    situation = situation.of_running_components()
+    situation = _with_bursts(situation.of_running_components())
     present = urgent(situation)
     situation = replace(situation, urgency={**present, **situation.urgency})
     bad = bad_links(situation)
@@ -144,6 +147,29 @@ def _gone(situation: Situation) -> str:
     """Return which components are lost with their computers; empty: none."""
     names = [n for n, at in situation.placement.items() if at in situation.lost]
     return ", ".join(f"'{n}' of '{situation.placement[n]}'" for n in sorted(names))
+
+
+def _with_bursts(situation: Situation) -> Situation:
+    """Return the situation with what components use now that make others late.
+
+    Over half a minute a burst is little; while it fills its computer, it is not.
+    """
+    late = {timer.computer for timer in situation.misses if timer.late}
+    uses = {
+        name: used
+        for computer in late
+        if (load := situation.loads.get(computer)) is not None and load.is_full
+        for name, used in load.components.items()
+    }
+
+    def now(each: DemandEstimate) -> DemandEstimate:
+        used = uses.get(each.component, 0.0)
+        if used <= _BURST * each.estimate.mean or each.component not in uses:
+            return each
+        return replace(each, estimate=replace(each.estimate, mean=used, error=0.0))
+
+    estimates = tuple(now(each) for each in situation.demand_estimates)
+    return replace(situation, demand_estimates=estimates)
 
 
 def urgent(situation: Situation) -> dict[str, float]:
