@@ -41,6 +41,16 @@ def test_each_message_is_processed_once(engine: Engine) -> None:
     assert engine.ledger.handled == 200
 
 
+def test_a_run_that_goes_on_counts_meanwhile(engine: Engine) -> None:
+    """As the kernel's counters do; else half a minute's mean is one sample's."""
+    handler = engine.handler(1.0)
+    place = container(engine, cpu=engine.cpu(1.0, speed=0.5))
+    slow = worker(place, "slow", model(engine, [("tick", 5.0, None, handler)]))
+    for until, used in (5.4, 0.2), (6.0, 0.5), (8.0, 1.0):
+        engine.run(until)
+        assert slow.cpu == pytest.approx(used)
+
+
 def test_the_oldest_message_makes_room(engine: Engine) -> None:
     _, _, _, target = pair(engine, work=1.0, keep=2)
     engine.run(1.05)  # ten came: one runs, two wait, and seven made room

@@ -41,9 +41,9 @@ std::vector<double> shares(double cores, const std::vector<CpuClaim>& claims) {
 CpuGroup::CpuGroup(Cpu& cpu, double weight, double most, double quota)
     : cpu_(cpu), weight_(weight), most_(most), quota_(quota), bucket_(quota * period) {}
 
-void CpuGroup::run(double work, Action then) {
+void CpuGroup::run(double work, Action then, double* used) {
   const Cpu::Change change(cpu_);
-  jobs_.push_back({work, std::move(then)});
+  jobs_.push_back({work, std::move(then), used});
   if (jobs_.size() == 1) cpu_.busy_.push_back(this);
 }
 
@@ -87,7 +87,10 @@ void CpuGroup::advance(double seconds) {
     throttled_ += was_full && bucket_ <= none;
   }
   const double each = done / static_cast<double>(jobs_.size());
-  for (Job& job : jobs_) job.left -= each;
+  for (Job& job : jobs_) {
+    job.left -= each;
+    if (job.used != nullptr) *job.used += each;
+  }
 }
 
 Cpu::Cpu(Events& events, double cores, double speed, bool is_emulated)

@@ -35,8 +35,9 @@ class CpuGroup {
   CpuGroup(const CpuGroup&) = delete;
   CpuGroup& operator=(const CpuGroup&) = delete;
 
-  // Begin to work [core-seconds]; `then` is called when it is done.
-  void run(double work, Action then);
+  // Begin to work [core-seconds]; `then` is called when it is done. What is done meanwhile
+  // is added to `used`.
+  void run(double work, Action then, double* used = nullptr);
   // Stand still, or go on.
   void pause(bool is_paused);
   // Do nothing more.
@@ -54,6 +55,7 @@ class CpuGroup {
   struct Job {
     double left;
     Action then;
+    double* used;
   };
 
   // What it would use now [cores].

@@ -171,7 +171,7 @@ void Executor::work() {
   for (std::size_t i = 0; i < timers.size(); ++i)
     if (timers[i].due() <= now()) {
       ++asked_;
-      begin_turn({&model_.timers[i].handler, &timers[i], {}, timers[i].begin(now()), now(), 0.0, {}});
+      begin_turn({&model_.timers[i].handler, &timers[i], {}, timers[i].begin(now()), now(), {}});
       return;
     }
   plan();
@@ -188,7 +188,7 @@ void Executor::work() {
   const auto found = handlers.find(item.connector->slot);
   Handler* handler = found == handlers.end() ? &model_.other : &found->second;
   if (item.kind == Item::Kind::answer) handler = &*model_.answer;
-  begin_turn({handler, nullptr, std::move(item), 0.0, now(), 0.0, {}});
+  begin_turn({handler, nullptr, std::move(item), 0.0, now(), {}});
 }
 
 void Executor::begin_turn(Turn turn) {
@@ -248,12 +248,10 @@ void Executor::begin_work() {
   if (!factors.empty()) work *= factors[static_cast<std::size_t>(now()) % factors.size()];
   if (!turn_.timer && turn_.item.kind != Item::Kind::answer)
     work += turn_.item.connector->target_cost;
-  turn_.cost = work;
-  container_.group().run(work, [this] { finish_work(); });
+  container_.group().run(work, [this] { finish_work(); }, &cpu_);
 }
 
 void Executor::finish_work() {
-  cpu_ += turn_.cost;
   engine_.ledger.end(who_, container_.awake_since(), now());
   if (may_work()) publish();
   ages_.end(turn_.timer || turn_.item.kind == Item::Kind::answer, now());

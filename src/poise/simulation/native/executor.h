@@ -83,7 +83,10 @@ class Executor {
   Timers& timers() { return timers_; }
   DataAges& ages() { return ages_; }
   // Work of its turns so far [core-seconds].
-  double cpu() const { return cpu_; }
+  double cpu() const {
+    container_.group().used();  // until now
+    return cpu_;
+  }
   // Messages, calls and releases that came, and that were ended.
   std::uint64_t asked() const { return asked_; }
   std::uint64_t done() const { return done_; }
@@ -96,7 +99,7 @@ class Executor {
     Handler* handler;
     Timer* timer;
     Item item;
-    double release, began, cost;
+    double release, began;
     std::vector<std::vector<Sender*>> to_call;  // those of one entry at once
   };
 
