@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from typing import Any, ClassVar
@@ -14,6 +15,10 @@ from poise.ros2 import ros_context
 from poise.ros2.executor_source import ExecutorSource
 from poise.runtime.component.component import Component
 from poise.runtime.component.ports import Port
+
+_FOUND_WITHIN = 3.5
+"""Fast DDS announces itself again after 3 s when its first datagrams are lost [s]."""
+_LOOK_EVERY = 0.02
 
 
 class BridgeLine(Struct, frozen=True, kw_only=True):
@@ -64,6 +69,14 @@ class BridgeNode(Component):
         self.source = ExecutorSource(self.node, self._context.give_up)
         self.closing.callback(self.source.close)
         self.open()
+        if self._context.follows:
+            self._find_others()
+
+    def _find_others(self) -> None:
+        """Wait until ROS 2 has found other nodes: what they send before is lost."""
+        own, until = {self.node.get_name()}, time.monotonic() + _FOUND_WITHIN
+        while not {*self.node.get_node_names()} - own and time.monotonic() < until:
+            time.sleep(_LOOK_EVERY)
 
     def open(self) -> None:
         """Make the node's ends."""

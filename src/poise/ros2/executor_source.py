@@ -57,6 +57,11 @@ class ExecutorSource:
         if self._is_waiting:
             self._executor.wake()
 
+    def run_due(self) -> None:
+        """Run the callback that was due and did not run."""
+        if self._task is not None and not self._task.executing():
+            self._task()
+
     def close(self) -> None:
         """End the executor, and the callback that was due and did not run."""
         if self._task is not None and not self._task.executing():

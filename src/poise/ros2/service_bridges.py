@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple, get_type_hints
 
@@ -197,16 +197,33 @@ def answering(port: Port, entries: Sequence[BridgeLine]) -> dict[str, Any]:
     return {**annotated(Provided)(port, entries), **methods}
 
 
+class Goals(Struct, frozen=True):
+    """The goals taken last, and the results that no client has asked for yet."""
+
+    taken: Sequence[str]
+    results: Mapping[str, bytes]  # as ROS 2 sends them
+
+
 class ServesActions(Services):
-    """Calls the port for the goals of clients in ROS 2, without waiting for it."""
+    """Calls the port for the goals of clients in ROS 2, without waiting for it.
+
+    All of a goal is done in turns of the component, not in tasks of rclpy's executor,
+    so none of it is left when the component is paused. Where it moves, its successor
+    gets what clients ask meanwhile, too, and does what this has not done.
+    """
 
     def open(self) -> None:
-        """Offer nothing yet: the incarnation before does."""
+        """Know no goals; make the servers where clients are to find both."""
         self._servers: dict[str, Any] = {}
-        self._calls: dict[bytes, StartedCall[Any]] = {}
+        self._calls: dict[str, StartedCall[Any]] = {}
+        self._asking: dict[str, list[Any]] = {}
+        self._taken: dict[str, bool] = {}  # whether the result was asked for
+        self._before = Goals((), {})
+        self._takes = False
+        if self._context.follows:
+            self._offer()
 
-    def listen(self) -> None:
-        """Offer the actions from now on."""
+    def _offer(self) -> None:
         from rclpy.action import ActionServer, GoalResponse  # noqa: PLC0415, only where a node runs
 
         def accept(_: object) -> GoalResponse:
@@ -215,19 +232,95 @@ class ServesActions(Services):
 
         services = self.conversions(self.clock)
         for entry, service in zip(self.entries, services, strict=True):
-            if service.name not in self._servers:
-                server = ActionServer(
-                    self.node,
-                    service.kind,
-                    entry.ros2,
-                    lambda _: None,
-                    goal_callback=accept,
-                    handle_accepted_callback=partial(self._begin, service),
-                    cancel_callback=partial(self._cancel, service),
-                )
-                self._servers[service.name] = server
-                self.closing.callback(server.destroy)
+            server: Any = ActionServer(
+                self.node,
+                service.kind,
+                entry.ros2,
+                lambda _: None,
+                goal_callback=accept,
+                handle_accepted_callback=partial(self._begin, service),
+                cancel_callback=partial(self._cancel, service),
+            )
+            self.closing.callback(server.destroy)
+            take = server._execute_goal_request  # noqa: SLF001
+            say_unknown = server._execute_get_result_request  # noqa: SLF001
+            server._execute_goal_request = partial(self._take, take)  # noqa: SLF001
+            answer = partial(self._answer, server, say_unknown)
+            server._execute_get_result_request = answer  # noqa: SLF001
+            self._servers[service.name] = server
+
+    def snapshot(self) -> Goals:
+        """Return what its successor needs to know of goals."""
+        from rclpy.serialization import serialize_message  # noqa: PLC0415, as above
+
+        results = {
+            key.hex(): serialize_message(future.result())
+            for server in self._servers.values()
+            for key, future in server._result_futures.items()  # noqa: SLF001
+            if future.done() and not self._taken.get(key.hex(), True)
+        }
+        return Goals([*self._taken], results)
+
+    def restore(self, state: Goals) -> None:
+        """Take no goal that the bridge before has taken, and give its results."""
+        self._before = state
+        self._taken = dict.fromkeys(state.taken, True)
+
+    def listen(self) -> None:
+        """Begin with the goals that have come; what was to be cancelled has ended."""
+        if not self._servers:
+            self._offer()
+        for server in self._servers.values():
+            kind = server.action_type.Impl.CancelGoalService.Request
+            while server._handle.take_cancel_request(kind)[0] is not None:  # noqa: SLF001
+                pass
+        self._takes = True
         super().listen()
+
+    def deactivate(self) -> None:
+        """Take no goal any more, but give all results that were asked for."""
+        super().deactivate()
+        self._takes = False
+        self.source.run_due()
+        for server in self._servers.values():
+            kind = server.action_type.Impl.GetResultService.Request
+            while (request := server._handle.take_result_request(kind))[0] is not None:  # noqa: SLF001
+                self._give(server, *request)
+
+    async def _take(self, take: Callable[[Any], Any], request: Any) -> None:  # noqa: ANN401, of rclpy
+        key = _key(request[1])
+        if self._takes and key not in self._before.taken:
+            self._taken[key] = False
+            if len(self._taken) > _MOST_TAKEN:
+                del self._taken[next(iter(self._taken))]
+            await take(request)
+
+    async def _answer(
+        self,
+        server: Any,  # noqa: ANN401, of rclpy
+        say_unknown: Callable[[Any], Any],
+        request: Any,  # noqa: ANN401, of rclpy
+    ) -> None:
+        if not self._give(server, *request) and self._takes:
+            await say_unknown(request)
+
+    def _give(self, server: Any, header: Any, asked: Any) -> bool:  # noqa: ANN401, of rclpy
+        """Give the result of a goal, at the latest when it ends, if it is known."""
+        from rclpy.serialization import deserialize_message  # noqa: PLC0415, as above
+
+        key = _key(asked)
+        ended = server._result_futures.get(bytes.fromhex(key))  # noqa: SLF001
+        if ended is not None:
+            self._taken[key] = True
+            if ended.done():
+                server._send_result_response(header, ended)  # noqa: SLF001
+            else:
+                self._asking.setdefault(key, []).append(header)
+        elif data := self._before.results.get(key):
+            kind = server.action_type.Impl.GetResultService.Response
+            response = deserialize_message(data, kind)
+            server._handle.send_result_response(header, response)  # noqa: SLF001
+        return ended is not None or key in self._before.taken
 
     def _begin(self, service: Service, goal: Any) -> None:  # noqa: ANN401, a goal of rclpy
         from rclpy.action.server import GoalEvent  # noqa: PLC0415, only where a node runs
@@ -241,11 +334,11 @@ class ServesActions(Services):
         except Exception:  # the client waits for the end
             self._finish(service, goal, goal.abort, service.kind.Result())
             raise
-        self._calls[bytes(goal.goal_id.uuid)] = call
+        self._calls[_key(goal)] = call
         call.then(partial(self._end, service, goal))
 
     def _end(self, service: Service, goal: Any, call: StartedCall[Any]) -> None:  # noqa: ANN401, a goal of rclpy
-        del self._calls[bytes(goal.goal_id.uuid)]
+        del self._calls[_key(goal)]
         end, result = goal.abort, service.kind.Result()
         try:
             end, result = goal.succeed, service.to_ros(call.result(), result)
@@ -257,11 +350,14 @@ class ServesActions(Services):
     def _cancel(self, service: Service, goal: Any) -> Any:  # noqa: ANN401, a goal of rclpy
         from rclpy.action import CancelResponse  # noqa: PLC0415, only where a node runs
 
-        call = self._calls.get(bytes(goal.goal_id.uuid))
+        call = self._calls.get(_key(goal))
         if call is None or not call.cancel():
             return CancelResponse.REJECT
-        del self._calls[bytes(goal.goal_id.uuid)]
-        self._finish(service, goal, goal.canceled, service.kind.Result())
+        del self._calls[_key(goal)]
+        empty = service.kind.Result()
+        self.start_call(lambda: None).then(  # rclpy lets it be cancelled first
+            lambda _: self._finish(service, goal, goal.canceled, empty)
+        )
         return CancelResponse.ACCEPT
 
     def _finish(
@@ -271,13 +367,23 @@ class ServesActions(Services):
         enter: Callable[[], None],
         result: Any,  # noqa: ANN401, a message
     ) -> None:
-        """Let the goal enter its last state, and its client have the result."""
+        """Let the goal enter its last state, and its clients have the result."""
+        enter()
+        server, key = self._servers[service.name], _key(goal)
+        response = service.kind.Impl.GetResultService.Response()
+        response.status, response.result = goal.status, result
+        ended = server._result_futures[bytes.fromhex(key)]  # noqa: SLF001
+        ended.set_result(response)
+        for header in self._asking.pop(key, ()):
+            server._send_result_response(header, ended)  # noqa: SLF001
 
-        def finish(_: object) -> Any:  # noqa: ANN401, a message
-            enter()
-            return result
 
-        self._servers[service.name].notify_execute(goal, finish)
+_MOST_TAKEN = 1000
+"""The most goals that are known: those taken last."""
+
+
+def _key(goal: Any) -> str:  # noqa: ANN401, what has the id of a goal
+    return bytes(goal.goal_id.uuid).hex()
 
 
 class AsksActions(AsksRos):

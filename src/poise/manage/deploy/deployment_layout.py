@@ -256,7 +256,7 @@ class DeploymentLayout:
             checkpoint=component.checkpoint,
             restart_when_hung=component.restart_when_hung,
             gently=incarnation.gently,
-            follows=incarnation.gently and not incarnation.unjoined,
+            follows=incarnation.follows,
             chains=self._parts.get(component.name, ()),
             leased=component.name in self.leased,
             held=incarnation.held,

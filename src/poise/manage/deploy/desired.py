@@ -28,6 +28,7 @@ class Incarnation(Struct, frozen=True, kw_only=True):
     # the version of the code that it runs instead of the robot's; empty: the robot's
     code: str = ""
     gently: bool = False  # whether it is prepared with the CPU time that others leave
+    follows: bool = False  # whether its predecessor is at work until it takes over
     # whether it has no connectors yet: the target of a migration that has not begun
     unjoined: bool = False
     # whether it is idle from now on: what it publishes until it rests still goes out

@@ -50,6 +50,7 @@ def _next(live: LiveRobot, old: Incarnation) -> Incarnation:
         adapt="",
         fresh=False,
         gently=True,
+        follows=True,
     )
 
 

@@ -45,6 +45,7 @@ class Context(Struct, frozen=True, kw_only=True):
     `count_process`: lets a process's CPU time count as its own; 0: that of its thread.
     `give_up`: ends the container, for this reason; the agent starts it again.
     `listen`: lets its thread get work from a `WorkSource`, too; None: no more.
+    `follows`: whether it is made ready while its predecessor is at work.
     `takes_over`: whether it is about to go on with the work of its predecessor.
     `age`: returns how long ago the last message of a subscribed port came [s].
     """
@@ -59,6 +60,7 @@ class Context(Struct, frozen=True, kw_only=True):
     request: Callable[[Verb, str], None] = lambda *_: None
     calls: StartedCalls = ImmediateCalls()
     listen: Callable[[WorkSource | None], None] = lambda _: None
+    follows: bool = False
     takes_over: Callable[[], bool] = lambda: False
     age: Callable[[str], float] = lambda _: math.inf
 
