@@ -128,7 +128,8 @@ class Adaptation:
         lacks_some = any(c.name not in reported for c in situation.robot.computers)
         symptoms = self._policies.evaluate(read, now, lacks_some=lacks_some)
         missing = frozenset(self._needs.evaluate(situation, now))
-        return replace(situation, symptoms=symptoms, missing=missing)
+        suspends = self._policies.suspends
+        return replace(situation, symptoms=symptoms, missing=missing, suspends=suspends)
 
     def _respond(self, responder: Responder, situation: Situation) -> bool:
         """Carry out what a responder wants; return whether it wanted something."""

@@ -177,6 +177,8 @@ class Policies:
         self._acted: dict[Key, float] = {}
         self._seen_at: dict[Key, float] = {}
         self.since: Mapping[Key, float] = {}
+        self.suspends: frozenset[str] = frozenset()
+        """Components and containers that functions want suspended, running or not."""
 
     def troubles(self) -> dict[str, str]:
         """Return policy -> what is wrong with its function, for people."""
@@ -240,11 +242,13 @@ class Policies:
     def _by_functions(
         self, read: Read, now: float, *, waits: bool
     ) -> dict[Key, tuple[Policy, Values]]:
-        wanted = {}
+        wanted, suspends = {}, set[str]()
         seen = Seen.by(read, now) if self._functions else Seen(at=now)
         for policy, function in self._functions:
             for action in function.ask(seen, waits=waits):
                 whole, values = _resolved(policy, action, seen)
+                if action.do == "suspend":
+                    suspends.add(action.about.partition(".")[0])  # of a timer
                 if values is not None:
                     self._names.add((whole.for_each or "", action.about))
                     wanted[_key(whole, values)] = whole, values
@@ -253,6 +257,7 @@ class Policies:
                 ):
                     text = f"'{policy.call}' names no subject '{action.about}'"
                     function.trouble = f"{text} for '{action.do}'"
+        self.suspends = frozenset(suspends)
         return wanted
 
     def due(self, symptoms: Iterable[Symptom], now: float) -> tuple[Symptom, ...]:

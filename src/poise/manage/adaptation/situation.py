@@ -59,6 +59,7 @@ class Situation(Struct, frozen=True, kw_only=True, dict=True):
     now: float = 0.0  # the moment, by a clock that never goes back [s]
     symptoms: tuple[Symptom, ...] = ()  # what policies have seen for long enough
     missing: frozenset[str] = frozenset()  # what a task needs, and nothing provides
+    suspends: frozenset[str] = frozenset()  # what policies' functions want suspended
     # how much the planner searches; None: as its time allows
     solve_steps: int | None = None
 

@@ -366,7 +366,11 @@ class ResumeSuspended:
         self._calm_since = inf if is_wrong else min(self._calm_since, now)
         if now - self._calm_since < CALM:
             return None
-        due = self._suspensions.due(now)
+        due = [
+            a
+            for a in self._suspensions.due(now)
+            if situation.suspends.isdisjoint((a.name, *(c.name for c in a.components)))
+        ]
         if not due:
             return None
         doubtful = self._suspensions.doubtful(now)

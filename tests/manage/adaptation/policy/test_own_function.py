@@ -185,6 +185,20 @@ def test_an_action_about_what_does_not_run_now_is_no_mistake(tmp_path: Path) -> 
         policies.close()
 
 
+def test_what_is_to_be_suspended_is_known_while_it_does_not_run(
+    tmp_path: Path,
+) -> None:
+    code = CODE.replace('do="restart", about="nobody"', 'do="suspend", about="eyes.t"')
+    (tmp_path / "mine.py").write_text(code, encoding="utf-8")
+    own = Policy(name="own", call="mine:stranger")
+    policies = Policies([own], str(tmp_path), ["eyes"])
+    try:
+        assert policies.evaluate(SEEN.of, 0.0, waits=True) == ()
+        assert policies.suspends == {"eyes"}
+    finally:
+        policies.close()
+
+
 def test_an_action_for_a_container_about_a_component_is_said(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(
         CODE.replace('do="restart", about', 'do="restart elsewhere", about'),

@@ -189,6 +189,18 @@ def test_it_is_taken_back_when_there_is_room_and_nothing_is_wrong() -> None:
     assert robbed.sentences()[-1] == "architecture 'low-task' runs again"
 
 
+@pytest.mark.parametrize("about", ["low", "low-task"])
+def test_what_a_function_wants_suspended_is_not_taken_back(about: str) -> None:
+    """It alternated with "there is room", up to every 5 minutes, for ever."""
+    robbed = Robbed(robot_with())
+    robbed.suspensions.suspend(["low-task"], "somebody sleeps", 0.0)
+    seen = robbed.situation()
+    wanted = replace(seen, suspends=frozenset({about}))
+    for now in 0.0, FIRST, 100.0:
+        assert not robbed.respond(robbed.taking_back, wanted, now)
+    assert robbed.respond(robbed.taking_back, seen, 100.0)
+
+
 def test_what_runs_is_not_disturbed_when_it_is_taken_back() -> None:
     robbed = Robbed(robot_with(), HIGH)
     before = robbed.run.placed["high"]
