@@ -211,6 +211,11 @@ def test_says_which_exclusive_device_is_in_the_way() -> None:
         "grasper, pusher use device arm, which is exclusive. It would fit with grasper "
         "and pusher running one after the other"
     )
+    needy = (replace(c, demand={"cpu": 0.8}) for c in problem.components)
+    large = replace(problem, components=tuple(needy))
+    assert plan.solve(large).reason.endswith(
+        "It would fit with grasper and pusher running one after the other"
+    )
     static = plan.evaluate(problem, plan.static(robot, problem))
     assert static.reason == "grasper and pusher use device arm, which is exclusive"
     assert len(plan.solve(problem, fewer=True).placement) == 1

@@ -46,11 +46,21 @@ Raises = Mapping[Limit, float]
 def relaxed(problem: Problem, raises: Raises) -> Problem:
     """Return the problem with some of its limits raised or lifted."""
     more = {(k.kind, *k.names): min(x, k.most or inf) for k, x in raises.items()}
+    components = {c.name: c for c in problem.components}
+    for device, users in problem.exclusive.items():
+        if ("exclusive", device, *users) in more:
+            # one after the other, on its computer: as much as one of them needs at most
+            most: dict[str, float] = {}
+            for user in users:
+                for resource, amount in components[user].demand.items():
+                    most[resource] = max(amount, most.get(resource, 0.0))
+                components[user] = replace(components[user], demand={})
+            components[users[0]] = replace(components[users[0]], demand=most)
     return replace(
         problem,
         components=tuple(
             replace(c, only=(), stranded=False) if ("only", c.name) in more else c
-            for c in problem.components
+            for c in components.values()
         ),
         computers=tuple(
             replace(
