@@ -318,6 +318,33 @@ def test_a_message_that_finds_no_room_is_dropped_and_counted(pair: Pair) -> None
 
 
 @every_kind
+def test_a_subscriber_that_gets_ready_holds_up_nobody_and_loses_nothing(
+    pair: Pair,
+) -> None:
+    go_on = threading.Event()
+
+    class Slow(Target):
+        def activate(self) -> None:
+            go_on.wait(LIMIT)
+
+    target, source = pair.run("target", Slow), pair.run("source", Source)
+    pair.join("scan")
+    with ThreadPoolExecutor(1) as pool:
+        active = pool.submit(pair.activate)
+        runner = pair.runners["source", 0]
+        wait_until(lambda: bool(runner.endpoints.senders))
+        runner.aim("active")
+        began = time.monotonic()
+        for number in range(20):
+            source.scan.publish(scan(number))
+        assert time.monotonic() - began < LIMIT / 2
+        go_on.set()
+        active.result()
+    assert [message.number for message in target.wait_for(20)] == [*range(20)]
+    assert pair.drops() == 0
+
+
+@every_kind
 def test_a_slow_subscriber_makes_its_publisher_wait(pair: Pair) -> None:
     source, target = start(pair, "careful")
     mailbox = pair.runners["target", 0].endpoints.mailbox

@@ -99,8 +99,9 @@ class PortQueue:
             if self.queue.policy == "block":
                 if feed.waiting >= self.queue.size + MOST_AHEAD:
                     feed.counts.drops += 1
-                    text = "port '%s': its source ignores back-pressure: %s"
-                    log.warning(text, self.port, "a message is dropped")
+                    if not self.is_unbounded:
+                        text = "port '%s': its source ignores back-pressure: %s"
+                        log.warning(text, self.port, "a message is dropped")
                     return
             elif self._is_full():
                 _, oldest, _ = self._waiting.popleft()
@@ -206,6 +207,11 @@ class Mailbox:
         for inbox in self._inboxes.values():
             for feed in inbox.close():
                 feed.on_room()
+
+    def hold_up_nobody(self) -> None:
+        """Make no source wait before the component works."""
+        for inbox in self._inboxes.values():
+            inbox.is_unbounded = inbox.queue.policy == "block"
 
     def set_unbounded(self, *, unbounded: bool) -> None:
         """Lift the bounds of all queues while nothing is taken out, or restore them."""

@@ -98,6 +98,8 @@ class Runner:
             self.ages,
             {port: partial(self.news.note_end, port) for port in spec.ends},
         )
+        # it may take long to get ready, and others work meanwhile
+        self.endpoints.mailbox.hold_up_nobody()
         self.life_cycle = LifeCycle()
         self.gate = ExecutionGate(
             spec.name,
