@@ -239,6 +239,8 @@ BOTH = f""", type: {FIBONACCI}}}
         ("std_srvs/srv/SetBool", "std_msgs/msg/Bool", "takes no std_msgs/msg/Bool"),
         ("std_srvs/srv/SetBool", FIBONACCI, "Fibonacci_Goal has no such field"),
         ("scanner.scan}", f"scanner.scan, type: {FIBONACCI}}}", f"no {FIBONACCI}, but"),
+        ("scanner.scan}", "scanner.scan, limit: 3 s}", "'/scan' has `limit`, which is"),
+        ("scanner.light}", "scanner.light, depth: 3}", "`depth`, which is for topics"),
         ("scanner.light}", f"scanner.light{BOTH}", "take either services or actions"),
     ],
 )

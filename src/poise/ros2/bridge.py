@@ -55,6 +55,7 @@ class Bridge(BridgeNode):
         port = ports[name]
         entries = convert(parameters["bridges"], list[BridgeLine])
         kind = _kind(port, entries)
+        _check_used(kind, entries)
         base, declaring = _SIDES[port.kind, kind]
         entries = [_full(port, kind, entry) for entry in entries]
         own = {"port": port, **declaring(port, entries)}
@@ -93,6 +94,19 @@ def _kind(port: Port, entries: Sequence[BridgeLine]) -> str:
             "services or actions for all of its methods"
         )
     return next(iter(said), fitting[0])
+
+
+def _check_used(kind: str, entries: Sequence[BridgeLine]) -> None:
+    """Raise RobotError for a key that such bridges do not heed."""
+    unused: tuple[str, ...]
+    unused, others = ("reliability", "durability", "depth"), "topics"
+    if kind == "msg":
+        unused, others = ("method", "limit"), "services and actions"
+    for entry in entries:
+        plain = BridgeLine(ros2=entry.ros2)
+        for key in unused:
+            if getattr(entry, key) != getattr(plain, key):
+                raise RobotError(f"'{entry.ros2}' has `{key}`, which is for {others}")
 
 
 def _full(port: Port, kind: str, entry: BridgeLine) -> BridgeLine:

@@ -30,6 +30,7 @@ class BridgeLine(Struct, frozen=True, kw_only=True):
     reliability: str | None = None
     durability: str | None = None
     depth: int = 10
+    limit: float = 1.0
     port: str = ""
 
     def qos(self, reliability: str = "") -> Any:  # noqa: ANN401, a profile of rclpy
