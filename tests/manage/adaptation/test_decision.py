@@ -9,7 +9,7 @@ import pytest
 from msgspec.structs import replace
 
 from poise.estimate.online import Drift, Estimate
-from poise.manage.adaptation.decision import decide
+from poise.manage.adaptation.decision import decide, with_bursts
 from poise.manage.adaptation.policy_values import values_of
 from poise.manage.adaptation.situation import Situation
 from poise.manage.migration.transition_plan import missing_cpu
@@ -156,8 +156,10 @@ def test_a_burst_that_fills_the_computer_of_what_is_late_counts(
     seen = situation(missed=("a",))
     uses = {"a": 0.15, "b": 0.35} if is_full else {"a": 0.2, "b": 0.2}
     left = Load(capacity=0.5, used=sum(uses.values()), components=uses)
-    found = decide(replace(seen, loads={**seen.loads, "left": left}))
+    seen = with_bursts(replace(seen, loads={**seen.loads, "left": left}))
+    found = decide(seen)
     assert found.acts == is_full
+    assert (seen.amounts()["b"] > 0.2) == is_full  # it is thought about at once
     if is_full:
         assert found.proposal is not None
         assert len({*found.proposal.placement.values()}) == 2

@@ -78,7 +78,7 @@ def decide(
 ) -> Decision:
     """Return whether to change the placement, and why."""
     gone = _gone(situation)
-    situation = _with_bursts(situation.of_running_components())
+    situation = situation.of_running_components()
     present = urgent(situation)
     situation = replace(situation, urgency={**present, **situation.urgency})
     bad = bad_links(situation)
@@ -149,7 +149,7 @@ def _gone(situation: Situation) -> str:
     return ", ".join(f"'{n}' of '{situation.placement[n]}'" for n in sorted(names))
 
 
-def _with_bursts(situation: Situation) -> Situation:
+def with_bursts(situation: Situation) -> Situation:
     """Return the situation with what components use now that make others late.
 
     Over half a minute a burst is little; while it fills its computer, it is not.

@@ -11,7 +11,13 @@ from msgspec.structs import replace
 
 from poise import plan
 from poise.errors import RobotError
-from poise.manage.adaptation.decision import HORIZON, Decision, decide, urgent
+from poise.manage.adaptation.decision import (
+    HORIZON,
+    Decision,
+    decide,
+    urgent,
+    with_bursts,
+)
 from poise.manage.adaptation.move_forecast import alternatives
 from poise.manage.adaptation.policies import Key, Policies, Symptom, saw
 from poise.manage.adaptation.proposal import explain
@@ -283,7 +289,7 @@ class ReplanResponder:
             loss.end(now)
             return None
         links = (s.values.name for s in bad if s.policy.for_each == "link")
-        situation = replace(situation, bad_links=frozenset(links))
+        situation = with_bursts(replace(situation, bad_links=frozenset(links)))
         due = transitions.policies.due(bad, now)
         if (
             not due
