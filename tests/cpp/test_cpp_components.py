@@ -17,6 +17,7 @@ from typing import Any, Protocol
 
 import numpy as np
 import pytest
+from msgspec import structs
 from numpy.typing import NDArray
 
 import poise
@@ -286,6 +287,19 @@ def test_an_error_of_the_callee_has_its_type_and_what_it_says(
     types = {Target: "LookupError"}
     expected = types.get(classes[1], "trouble::Empty")
     assert source.fail("no eggs") == [expected, "no eggs"]
+    assert source.add(1, 1) == 2
+
+
+@every_kind
+def test_what_does_not_fit_the_types_in_cpp_cannot_cross(
+    pair: Pair, mixed: ModuleType
+) -> None:
+    source = start(pair, (Source, mixed.Target))
+    with pytest.raises(CannotCross, match=r"add.* an integer may be|<= 2147483647"):
+        source.sums.add(2**40, 1)
+    unfit = structs.replace(everything(np.zeros(4, np.float32)), text="\ud800")
+    with pytest.raises(CannotCross, match=r"UTF-8|utf-8"):
+        source.sums.echo(unfit)
     assert source.add(1, 1) == 2
 
 

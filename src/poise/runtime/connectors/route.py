@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NoReturn, Protocol
 
-from poise.errors import CalleeError, Unavailable, said
+from poise.errors import CalleeError, CannotCross, Unavailable, said
 from poise.runtime import _calls
 from poise.runtime.component.error_report import traceback_of
 from poise.runtime.component.ports import Port
@@ -19,6 +19,9 @@ from poise.wire.records.deployment_records import ConnectorSpec
 if TYPE_CHECKING:
     from poise.runtime.connectors.endpoints import ComponentEndpoints
     from poise.runtime.connectors.sender import Sender
+
+_UNFIT = "(): incompatible function arguments."
+"""What nanobind says where arguments do not fit the types in C++."""
 
 
 class Route(Protocol):
@@ -164,7 +167,13 @@ def direct_call(
 
 
 def raise_callee_error(error: BaseException) -> NoReturn:
-    """Raise what a caller gets when its callee raised `error`."""
-    raise CalleeError(
-        type(error).__qualname__, said(error), traceback_of(error)
-    ) from error
+    """Raise what a caller gets when its callee raised `error`, or was not called."""
+    text = said(error)
+    if error.__traceback__ is None and _UNFIT in text:
+        method = text.partition("1. ")[2].partition("\n")[0]
+        given = text.rpartition("types: ")[2]
+        raise CannotCross(
+            f"{method}, in C++, does not take what was given ({given}): an integer may "
+            "be too large for its type, or a text may be no UTF-8"
+        ) from error
+    raise CalleeError(type(error).__qualname__, text, traceback_of(error)) from error
