@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import resource
 import shutil
 import socket
 import tempfile
@@ -83,6 +84,23 @@ def test_returns_the_managers_result(server: ControlServer) -> None:
         future.set_result(StopReport(("a container",)))
         assert result.result(LIMIT) == StopReport(("a container",))
     assert command == StopCommand()
+
+
+def test_a_program_with_many_connections_asks_the_manager(
+    server: ControlServer,
+) -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if 0 < hard < 1400:
+        pytest.skip("it may not have many files open")
+    server.start(answering(StopReport()))
+    resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, 1400), hard))
+    many = [os.open(os.devnull, os.O_RDONLY) for _ in range(1024)]
+    try:
+        assert send_command(None, StopCommand()) == StopReport()
+    finally:
+        for each in many:
+            os.close(each)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
 
 
 def test_a_folder_that_is_read_only_meanwhile_lets_the_manager_end(

@@ -217,7 +217,7 @@ def _no_manager(
 def _wait(connection: socket.socket, path: Path, command: Command) -> None:
     """Wait for the answer to a command for as long as the manager works."""
     manager, began, patience = peer_of(connection), time.monotonic(), STATUS_LIMIT
-    while not select.select([connection], [], [], _LOOK_EVERY)[0]:
+    while not _is_readable(connection, _LOOK_EVERY):
         waited = time.monotonic() - began
         if _is_stopped(manager):
             raise _no_answer(path.stem, manager, waited)
@@ -233,6 +233,12 @@ def _wait(connection: socket.socket, path: Path, command: Command) -> None:
         patience = waited + STATUS_LIMIT
 
 
+def _is_readable(connection: socket.socket, limit: float) -> bool:
+    poll = select.poll()  # not select(): it refuses descriptors of 1024 and more
+    poll.register(connection, select.POLLIN)
+    return bool(poll.poll(1000 * limit))
+
+
 def _gives_status(path: Path) -> bool:
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
         try:
@@ -240,7 +246,7 @@ def _gives_status(path: Path) -> bool:
             frame.send_record(connection, StatusCommand())
         except (OSError, RunError, WireError):
             return False
-        return bool(select.select([connection], [], [], STATUS_LIMIT)[0])
+        return _is_readable(connection, STATUS_LIMIT)
 
 
 def _no_answer(robot: str, manager: int | None = None, waited: float = 0) -> NoManager:
