@@ -271,10 +271,10 @@ def _with_floats(value: Any) -> Any:  # noqa: ANN401, JSON's
     return {name: _with_floats(part) for name, part in value.items()}
 
 
-def said_in(path: Path) -> Iterator[Said]:
+def said_in(path: Path, *, warns: bool = True) -> Iterator[Said]:
     """Yield messages and calls as they went out; UsageError: it is no recording."""
     connectors: dict[int, str] = {}
-    for record in _records(path):
+    for record in _records(path, warns=warns):
         match type(record).__name__:
             case "Channel":
                 kind, _, name = record.metadata.get("name", "").partition("/")
@@ -330,8 +330,8 @@ def messages_of(path: Path, kind: str, type_: type[_Record]) -> Iterator[_Record
                     raise UsageError(f"{path} is damaged: {error}") from error
 
 
-def _records(path: Path) -> Iterator[McapRecord]:
-    """Yield the records of a file; say when it was not ended."""
+def _records(path: Path, *, warns: bool = True) -> Iterator[McapRecord]:
+    """Yield the records of a file; `warns`: say when it was not ended."""
     reader, errors = extra("mcap.stream_reader"), extra("mcap.exceptions")
     is_recording, is_whole = False, False
     try:
@@ -357,7 +357,8 @@ def _records(path: Path) -> Iterator[McapRecord]:
         if is_whole:
             why = str(error) or "it ends amid a record"
             raise UsageError(f"{path} is damaged: {why}") from error
-        log.warning(
+        log.log(
+            logging.WARNING if warns else logging.DEBUG,
             "the recording %s was not closed: its end is missing (of a robot that was "
             "killed, up to a second)",
             path,

@@ -11,7 +11,7 @@ import pytest
 from poise.errors import UsageError
 from poise.session.running_robots import playback
 from poise.session.running_robots.running import Running
-from poise.wire.recording_file import Said
+from poise.wire.recording_file import MESSAGES, McapFile, Said
 from tests.bags import write_bag
 
 
@@ -26,7 +26,7 @@ def test_nothing_is_played_when_a_port_is_not_in_the_recording(
         return SimpleNamespace(publish=lambda *what, **_: published.append(what))
 
     said = Said(connector="eye.seen-mind.seen", at=1.0, value=7)
-    monkeypatch.setattr(playback, "said_in", lambda _: iter([said, said]))
+    monkeypatch.setattr(playback, "said_in", lambda *_, **__: iter([said, said]))
     monkeypatch.setattr(
         playback, "connect", lambda _: SimpleNamespace(component=component)
     )
@@ -36,6 +36,21 @@ def test_nothing_is_played_when_a_port_is_not_in_the_recording(
     assert playback.play("r.mcap", only=["eye.seen"]).messages == {"eye.seen": 2}
     assert published == [("seen", 7), ("seen", 7)]
     assert asked == ["eye"]  # each time would cost a status of the robot
+
+
+def test_that_a_recording_was_cut_off_is_said_once(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "cut.mcap"
+    with McapFile(path, "r", at_once=True) as file:
+        file.add(f"{MESSAGES}/eye.seen-mind.seen", None, 1.0, 7)
+        cut = path.read_bytes()
+    path.write_bytes(cut)
+    eye = SimpleNamespace(publish=lambda *_, **__: None)
+    robot = SimpleNamespace(component=lambda _: eye)
+    monkeypatch.setattr(playback, "connect", lambda _: robot)
+    assert playback.play(path, only=["eye.seen"]).messages == {"eye.seen": 1}
+    assert caplog.text.count("was not closed") == 1
 
 
 def test_a_recording_without_messages_is_refused(

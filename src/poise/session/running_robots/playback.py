@@ -93,7 +93,8 @@ def play(
             "play` plays it, and the robot's bridges and nodes hear it"
         )
     component = cache(connect(robot).component)  # asks the manager whether it is there
-    known = set(map(_source, said_in(Path(path)))) if only else set()
+    every = said_in(Path(path), warns=False) if only else ()  # it is read again
+    known = set(map(_source, every))
     if unknown := {*only} - known:
         raise UsageError(f"{path} has nothing of {', '.join(sorted(unknown))}")
     messages, skipped = Counter[str](), dict[str, str]()
