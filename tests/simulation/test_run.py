@@ -6,11 +6,13 @@ import os
 import subprocess
 import sys
 import threading
+from itertools import combinations
 from pathlib import Path
 
 import pytest
 from msgspec import structs
 
+from poise.model.robot import Link
 from poise.simulation.faults import SimulatedFault
 from tests.simulation.conftest import small_scenario
 from tests.simulation.seeds import run
@@ -304,3 +306,22 @@ def test_computers_that_lose_their_power_join_the_robot_again(seed: int) -> None
 def test_status_leaves_out_nothing_that_does_not_work(seed: int) -> None:
     """Before, it left out what was being changed, and what broke meanwhile."""
     assert run(seed, 60.0, "watched").message == ""
+
+
+@pytest.mark.slow
+def test_one_standby_leads_where_links_are_slow() -> None:
+    """Each took the agents from another one, up to eleven times."""
+    scenario = small_scenario(20.0, elects=True)
+    pairs = combinations("abc", 2)
+    links = tuple(Link(between=ends, latency=0.15) for ends in pairs)
+    scenario = structs.replace(
+        scenario,
+        robot=structs.replace(scenario.robot, links=links),
+        faults=(SimulatedFault(10.0, "kill manager", "a", lasts=10.0),),
+        moves=False,
+        converges=30.0,
+    )
+    outcome = simulate(scenario, 1)
+    assert outcome.message == ""
+    assert sum(line.endswith("done: took over") for line in outcome.trace) == 1
+    assert not any("manager 2 " in line for line in outcome.trace)

@@ -11,6 +11,8 @@ from poise.wire.records.request_records import Election
 
 _RANK, _SPREAD = 0.06, 0.04
 """Each next computer of the list waits so much longer, and a part of this [s]."""
+_WAYS = 6.0
+"""An election takes so many times as long as the slowest way to another computer."""
 _AGAIN = 1.0
 """When there is still no leader, it tries again after this time, or twice that [s]."""
 
@@ -51,7 +53,8 @@ class StandbyWatch:
             self._due = now + self._pause(election)
         elif now >= self._due:
             self._wake()
-            self._due = now + _AGAIN * (1 + self._world.random.random())
+            wait = _AGAIN + self._election_time()
+            self._due = now + wait * (1 + self._world.random.random())
 
     def moment(self) -> float:
         """Return when `look` has something to do [s]."""
@@ -84,4 +87,10 @@ class StandbyWatch:
 
     def _pause(self, election: Election) -> float:
         rank = election.managers.index(self._computer)
-        return _RANK * rank + _SPREAD * self._world.random.random()
+        rank_wait = _RANK + self._election_time()  # else they disturb each other
+        return rank_wait * rank + _SPREAD * self._world.random.random()
+
+    def _election_time(self) -> float:
+        """Return how long messages of an election are on their way [s]."""
+        ways = self._heartbeats.links().values()
+        return _WAYS * max((way.delay or 0.0 for way in ways), default=0.0)
