@@ -429,8 +429,14 @@ def test_what_is_undone_counts_where_nothing_fits(situation: Make, two: Robot) -
     assert found.undone > 0.08
 
 
-def test_what_is_undone_counts_where_something_is_suspended(two: Robot) -> None:
-    """Three of 0.4 cores on two computers of 0.5: the higher two do not get theirs."""
+@pytest.mark.parametrize(("starved", "acts"), [("abc", True), ("a", False)])
+def test_what_is_undone_counts_where_something_is_suspended(
+    two: Robot, starved: str, *, acts: bool
+) -> None:
+    """Three of 0.4 cores on two computers of 0.5: the higher two do not get theirs.
+
+    The one on the other computer would get no more without the lowest.
+    """
 
     def architecture(name: str, priority: int, *components: str) -> Architecture:
         parts = [ComponentEntry(name=n, demand={"cpu": 0.4}) for n in components]
@@ -444,19 +450,23 @@ def test_what_is_undone_counts_where_something_is_suspended(two: Robot) -> None:
         tasks=(Task(name="work", actions=(Action(name="w", functions=("hi", "lo")),)),),
     )
     placement = {"a": "left", "b": "right", "c": "right"}
-    estimate = Estimate(mean=0.4, p95=0.4, error=0.01, starved=0.5)
+    well = Estimate(mean=0.4, p95=0.4, error=0.01)
+    short = replace(well, starved=0.5)
     found = decide(
         Situation(
             robot=robot,
             placement=placement,
             demand_estimates=tuple(
                 DemandEstimate(
-                    component=n, computer=at, expected=None, estimate=estimate
+                    component=n,
+                    computer=at,
+                    expected=None,
+                    estimate=short if n in starved else well,
                 )
                 for n, at in placement.items()
             ),
         )
     )
-    assert found.acts
-    assert found.why == "not all fits without 'lo' (priority 0)"
+    assert found.acts == acts
+    assert (found.why == "not all fits without 'lo' (priority 0)") == acts
     assert found.undone > 0.25

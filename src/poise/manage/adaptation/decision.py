@@ -240,7 +240,7 @@ def _with_fewer(situation: Situation) -> Decision | None:
     """Return what to suspend for the sake of architectures of higher priority.
 
     CPU is short wherever components run, so the work of the lowest priorities is given
-    up; but only when higher ones suffer in spite of their CPU weights.
+    up; but only when higher ones suffer in spite of their CPU weights where that helps.
     """
     suffers, robot = _suffering(situation), situation.robot
     try:
@@ -250,10 +250,15 @@ def _with_fewer(situation: Situation) -> Decision | None:
     suspended = {
         a.name: a.priority for a in robot.architectures if a.name in proposal.suspended
     }
+    relieved = {step.source for step in proposal.steps}  # also of what moves
     helped = [
         a.priority
         for a in robot.architectures
-        if a.name not in suspended and any(c.name in suffers for c in a.components)
+        if a.name not in suspended
+        and any(
+            c.name in suffers and situation.placement.get(c.name) in relieved
+            for c in a.components
+        )
     ]
     if not suspended or not helped or max(suspended.values()) >= max(helped):
         return None
