@@ -13,6 +13,7 @@ from poise.manage.observe.deviations import (
     find_deviations,
     find_unjoined,
     find_unwanted,
+    wanted_containers,
 )
 from poise.model.robot import Connector, ConnectorEnd, Robot
 from poise.wire.records.status_records import (
@@ -58,7 +59,11 @@ def find(
     )
     placed = [Incarnation(component="eye", computer="a", goal="active")]
     layout = DeploymentLayout(robot, "")
-    return list(find_deviations(placed, placed, layout, {"a": status}, 5.0))
+    return list(
+        find_deviations(
+            placed, wanted_containers(placed, layout), layout, {"a": status}, 5.0
+        )
+    )
 
 
 @pytest.mark.parametrize("eye", [None, "inactive", "unresponsive"])
@@ -93,14 +98,13 @@ def test_a_container_that_was_restarted_three_times_lately_is_in_a_crash_loop(
     )
 
 
-def test_names_a_container_that_nobody_wants(robot: Robot) -> None:
+def test_names_a_container_that_nobody_wants() -> None:
     """Such as one of another manager."""
     container = ContainerStatus(name="odd", pid=7, components=())
     status = AgentStatus(
         computer="a", generation=1, uptime=9.0, cpu=0.0, containers=(container,)
     )
-    layout = DeploymentLayout(robot, "")
-    (found,) = find_unwanted([], layout, {"a": status}, 5.0).values()
+    (found,) = find_unwanted({}, {"a": status}, 5.0).values()
     assert found.what == "container 'odd' runs on 'a' but should not"
 
 
@@ -169,7 +173,7 @@ def test_an_error_of_an_agents_own_code_is_shown_with_its_part(robot: Robot) -> 
         computer="a", generation=1, uptime=9.0, cpu=0.0, errors=(error,)
     )
     layout = DeploymentLayout(robot, "")
-    (found,) = find_deviations([], [], layout, {"a": status}, 5.0)
+    (found,) = find_deviations([], {}, layout, {"a": status}, 5.0)
     assert found.computer == "a"
     assert found.what == (
         "agent of 'a': an internal error in part \"container 'see'\": KeyError: "
@@ -213,7 +217,7 @@ def test_a_computer_with_less_than_the_robot_file_says_is_named(
     (computer,) = robot.computers
     real = replace(robot, computers=(replace(computer, address="10.0.0.1"),))
     layout = DeploymentLayout(real, "")
-    found = find_deviations([], [], layout, {"a": status}, 5.0)
+    found = find_deviations([], {}, layout, {"a": status}, 5.0)
     assert [each.what for each in found] == said
-    emulated = find_deviations([], [], DeploymentLayout(robot, ""), {"a": status}, 5.0)
+    emulated = find_deviations([], {}, DeploymentLayout(robot, ""), {"a": status}, 5.0)
     assert list(emulated) == []

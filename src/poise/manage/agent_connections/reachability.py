@@ -270,7 +270,9 @@ class AgentHeartbeats:
             # of one that is heard itself, it matters little when others heard it
             is_quiet = now - sign > _STALLED
             relayed = self._contacts.relayed(name, now) if is_quiet else None
-            known = self._agents.setdefault(name, _Agent(_Silence(), _Silence()))
+            known = self._agents.get(name)
+            if known is None:
+                known = self._agents[name] = _Agent(_Silence(), _Silence())
             known.direct.measure(sign, now, counted)
             known.any.measure(max(sign, relayed[1]) if relayed else sign, now, counted)
 

@@ -64,6 +64,9 @@ class DeploymentLayout:
         self._architecture_of = {
             c.name: a for a in robot.architectures for c in a.components
         }
+        self._containers = {
+            c.name: _container(a, c) for a in robot.architectures for c in a.components
+        }
         self._weights = cpu_weights(robot)
         self._components = {c.name: c for c in robot.components()}
         self.computers = {c.name: c for c in robot.computers}
@@ -85,11 +88,10 @@ class DeploymentLayout:
 
     def container_of(self, incarnation: Incarnation) -> str:
         """Return its container's name; other code has its own: Python imports once."""
-        component = self._components[incarnation.component]
-        container = _container(self._architecture_of[component.name], component)
-        # no name has a dot in it, so this is no other container's name
-        other = f"..{incarnation.code[:_DIGITS]}" if incarnation.code else ""
-        return container + other
+        container = self._containers[incarnation.component]
+        if incarnation.code:  # no name has a dot in it, so no other container has this
+            container = f"{container}..{incarnation.code[:_DIGITS]}"
+        return container
 
     def address(
         self, target: Incarnation, computer: str, gateways: Mapping[str, str]

@@ -98,6 +98,8 @@ class Desired(Struct, frozen=True, kw_only=True):
         coming = {incarnation.component for incarnation in self.coming}
         idle = _without(self.prefetched, self.placed.keys() | coming).values()
         wanted = (*self.placed.values(), *self.coming, *self.configured_ahead, *idle)
+        if not self.held:
+            return wanted
         return tuple(
             replace(incarnation, goal="inactive", held=incarnation.goal == "active")
             if incarnation.component in self.held

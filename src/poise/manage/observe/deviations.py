@@ -7,7 +7,7 @@ a reader of new ones remembers the numbers of those before.
 from __future__ import annotations
 
 from collections import defaultdict, deque
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Container, Iterable, Iterator, Mapping
 from collections.abc import Set as AbstractSet
 from math import inf
 from typing import TYPE_CHECKING
@@ -64,25 +64,24 @@ class Deviation(Struct, frozen=True, kw_only=True):
 
 def find_deviations(
     settled: Collection[Incarnation],
-    wanted: Collection[Incarnation],
+    names: Mapping[str, AbstractSet[str]],  # as of `wanted_containers`
     layout: DeploymentLayout,
     statuses: Statuses,
     now: float,  # the time [s since 1970]
 ) -> Iterator[Deviation]:
     """Yield what differs between the placement and what the agents reported."""
     here: dict[str, list[Incarnation]] = defaultdict(list)
-    names = _containers(wanted, layout)
     for incarnation in settled:
         here[incarnation.computer].append(incarnation)
     for computer, status in sorted(statuses.items()):
         yield from _of_components(here[computer], layout, status, now)
         for what in _of_computer(layout.computers[computer], status):
             yield Deviation(what=what, computer=computer, since=now)
-        for what in _of_containers(names[computer], status):
+        for what in _of_containers(names.get(computer, ()), status):
             yield Deviation(what=what, computer=computer, since=now)
 
 
-def _containers(
+def wanted_containers(
     wanted: Iterable[Incarnation], layout: DeploymentLayout
 ) -> dict[str, set[str]]:
     """Return computer -> the names of the containers that are wanted there."""
@@ -93,17 +92,13 @@ def _containers(
 
 
 def find_unwanted(
-    wanted: Collection[Incarnation],
-    layout: DeploymentLayout,
-    statuses: Statuses,
-    now: float,
+    names: Mapping[str, AbstractSet[str]], statuses: Statuses, now: float
 ) -> dict[str, Deviation]:
     """Return the containers that should not run, by what is said of them: some end."""
-    names = _containers(wanted, layout)
     found = {}
     for computer, status in sorted(statuses.items()):
         for running in status.containers:
-            if running.name not in names[computer]:
+            if running.name not in names.get(computer, ()):
                 what = f"container '{running.name}' runs on '{computer}' but should not"
                 found[what] = Deviation(what=what, computer=computer, since=now)
     return found
@@ -169,7 +164,7 @@ def _of_computer(computer: Computer, status: AgentStatus) -> Iterator[str]:
             )
 
 
-def _of_containers(wanted: AbstractSet[str], status: AgentStatus) -> Iterator[str]:
+def _of_containers(wanted: Container[str], status: AgentStatus) -> Iterator[str]:
     """Yield what is wrong with containers, and with the gateway to them."""
     if status.trouble:
         yield f"on '{status.computer}' {status.trouble}"

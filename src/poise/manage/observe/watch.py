@@ -22,6 +22,7 @@ from poise.manage.observe.deviations import (
     find_deviations,
     find_unjoined,
     find_unwanted,
+    wanted_containers,
 )
 from poise.manage.observe.troubles import CodeErrors
 
@@ -107,7 +108,7 @@ class Watch:
         not reported since they were told something else.
         """
         live, now = self._live, wall_time()
-        wanted, settled = live.desired.incarnations(), live.desired.settled()
+        settled = live.desired.settled()
         moving = live.placed.keys() - settled.keys()
         unknown = moving | {
             name for name, each in settled.items() if each.computer in unheard
@@ -118,8 +119,9 @@ class Watch:
             if deviation.component in unknown
             or (deviation.computer in unheard and not deviation.component)
         }
+        names = wanted_containers(live.desired.incarnations(), live.layout)
         deviations = find_deviations(
-            settled.values(), wanted, live.layout, statuses, now
+            settled.values(), names, live.layout, statuses, now
         )
         current |= {deviation.key: deviation for deviation in deviations}
         there = [
@@ -141,7 +143,7 @@ class Watch:
                 if key in still or deviation.computer in unheard
             },
             **find_unjoined(there, layout, statuses, now),
-            **find_unwanted(wanted, layout, statuses, now),
+            **find_unwanted(names, statuses, now),
         }
         self._new = {
             key: self._new.get(key, (deviation, began))

@@ -50,7 +50,9 @@ class SupervisedParts:
 
     def run(self, part: str, work: Callable[..., T], *args: object) -> T | None:
         """Do a part of the work, unless it rests after an error."""
-        return None if self.is_resting(part) else self.attempt(part, work, *args)
+        if self._rests and self.is_resting(part):
+            return None
+        return self.attempt(part, work, *args)
 
     def attempt(self, part: str, work: Callable[..., T], *args: object) -> T | None:
         """Do what comes once; return None if it fails."""

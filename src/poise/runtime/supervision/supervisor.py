@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterator
+from functools import cache
 from math import inf
 from random import Random
 
@@ -343,6 +344,7 @@ class Supervisor:
         backoff.note_end(self._clock.now(), self._random.uniform(0.5, 1))
 
 
+@cache
 def part_of(container: str) -> str:
     """Return the name of what an agent does for a container, for `SupervisedParts`."""
     return f"container '{container}'"
