@@ -8,7 +8,15 @@ from pathlib import Path
 import pytest
 
 from poise.endpoint import Endpoint
-from poise.wire.address import LONGEST, Address, gateway_path, socket_path
+from poise.wire.address import (
+    LONGEST,
+    RESEND_EVERY,
+    TCP_RTO_MAX_MS,
+    Address,
+    gateway_path,
+    socket_path,
+    tune,
+)
 from poise.wire.codec import WireError
 
 
@@ -46,6 +54,25 @@ def test_what_is_none_is_refused(text: str) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.slow
+def test_tcp_sends_again_each_second_at_least() -> None:
+    """Else a stream is silent for 3 s after a cut of 3 s."""
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        tune(listening)
+        with socket.create_connection(listening.getsockname()) as ours:
+            tune(ours)
+            theirs, _ = listening.accept()
+            with theirs:
+                try:
+                    found = [
+                        end.getsockopt(socket.IPPROTO_TCP, TCP_RTO_MAX_MS)
+                        for end in (ours, theirs)
+                    ]
+                except OSError:
+                    pytest.skip("before Linux 6.15 there is no limit to set")
+    assert found == [RESEND_EVERY, RESEND_EVERY]
+
+
 def test_the_longest_folder_has_room_for_all_sockets_of_a_container(
     tmp_path: Path,
 ) -> None:
