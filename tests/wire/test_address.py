@@ -54,7 +54,6 @@ def test_what_is_none_is_refused(text: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 def test_tcp_sends_again_each_second_at_least() -> None:
     """Else a stream is silent for 3 s after a cut of 3 s."""
     with socket.create_server(("127.0.0.1", 0)) as listening:
@@ -73,6 +72,7 @@ def test_tcp_sends_again_each_second_at_least() -> None:
     assert found == [RESEND_EVERY, RESEND_EVERY]
 
 
+@pytest.mark.slow
 def test_the_longest_folder_has_room_for_all_sockets_of_a_container(
     tmp_path: Path,
 ) -> None:
