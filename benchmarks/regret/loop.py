@@ -281,6 +281,10 @@ class _Nothing:
         """Say that it went well: this robot's architectures never stop."""
         return True
 
+    def due(self, _: float) -> Sequence[Architecture]:
+        """Return nothing: nothing is suspended."""
+        return ()
+
     def __getattr__(self, _: str) -> Callable[..., None]:
         return lambda *_, **__: None
 
