@@ -216,6 +216,13 @@ def test_says_which_exclusive_device_is_in_the_way() -> None:
     assert plan.solve(large).reason.endswith(
         "It would fit with grasper and pusher running one after the other"
     )
+    lighter = Item(name="lighter", demand={"cpu": 0.8})  # runs beside the pusher
+    three = replace(
+        large,
+        components=(*large.components, lighter),
+        exclusive={**large.exclusive, "lamp": ("lighter", "grasper")},
+    )
+    assert "It would fit with 0.6 more cpu on main" in plan.solve(three).reason
     static = plan.evaluate(problem, plan.static(robot, problem))
     assert static.reason == "grasper and pusher use device arm, which is exclusive"
     assert len(plan.solve(problem, fewer=True).placement) == 1

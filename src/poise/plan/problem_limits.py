@@ -46,16 +46,17 @@ Raises = Mapping[Limit, float]
 def relaxed(problem: Problem, raises: Raises) -> Problem:
     """Return the problem with some of its limits raised or lifted."""
     more = {(k.kind, *k.names): min(x, k.most or inf) for k, x in raises.items()}
+    turns = [u for d, u in problem.exclusive.items() if ("exclusive", d, *u) in more]
     components = {c.name: c for c in problem.components}
-    for device, users in problem.exclusive.items():
-        if ("exclusive", device, *users) in more:
-            # one after the other, on its computer: as much as one of them needs at most
-            most: dict[str, float] = {}
-            for user in users:
-                for resource, amount in components[user].demand.items():
-                    most[resource] = max(amount, most.get(resource, 0.0))
-                components[user] = replace(components[user], demand={})
-            components[users[0]] = replace(components[users[0]], demand=most)
+    left = dict(components)
+    for users in turns:
+        # one after the other: as much as one of them needs at most. Who also uses
+        # another device runs beside others of its users, and counts with the first
+        some = [left.pop(user) for user in users if user in left]
+        most = dict(sorted(amount for c in some for amount in c.demand.items()))
+        for c in some:
+            components[c.name] = replace(c, demand=most)
+            most = {}
     return replace(
         problem,
         components=tuple(
@@ -82,7 +83,10 @@ def relaxed(problem: Problem, raises: Raises) -> Problem:
             else k
             for k in problem.links
         ),
-        together=tuple(g for g in problem.together if ("together", *g) not in more),
+        together=(
+            *(g for g in problem.together if ("together", *g) not in more),
+            *turns,
+        ),
         apart=tuple(g for g in problem.apart if ("apart", *g) not in more),
         exclusive={
             device: users
