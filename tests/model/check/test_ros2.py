@@ -121,6 +121,15 @@ def test_two_nodes_may_share_several_topics(find: Find) -> None:
     assert find(f"{HEAD}{SCAN}{PLAN}    connectors: {topics}\n") == ()
 
 
+def test_nodes_that_find_each_other_on_one_computer_stay_there(find: Find) -> None:
+    topic = "    connectors: [{between: [scan, plan], topic: /a}]\n"
+    text = f"{HEAD}{SCAN}{PLAN}{topic}ros2: {{discovery: localhost}}\n"
+    assert "or keep its ends `together`" in str(find(text))
+    assert find(text + "together: [[scan, plan]]\n") == ()
+    assert find(text.replace("localhost", "computers")) == ()
+    assert find(text.replace(", vision: {cpu: 2, memory: 1 GiB}", "")) == ()
+
+
 def test_an_executable_becomes_a_command(tmp_path: Path) -> None:
     node = (
         "{package: nav, executable: scan, name: front, namespace: /a, "

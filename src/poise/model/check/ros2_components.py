@@ -11,6 +11,8 @@ from msgspec import to_builtins
 from msgspec.structs import replace
 
 from poise.endpoint import Endpoint
+from poise.errors import listed
+from poise.model.check.allowed_computers import allowed_computers
 from poise.model.check.names import component_names, components, connectors
 from poise.model.robot import ComponentEntry, Connector, ConnectorEnd, Robot
 from poise.model.ros2_node import START, wrong_parameters
@@ -35,9 +37,19 @@ def check_ros2(robot: Robot) -> Iterator[Finding]:
             yield Finding((*path, "ros2", "params", *name.split(".")), text)
     known = {c.name: c for c in robot.components()}
     bridged = {bridge.port.component for bridge in robot.ros2.bridges}
+    is_local = robot.ros2.discovery == "localhost"
+    allowed = allowed_computers(robot) if is_local else {}
     for path, _, connector in connectors(robot):
         for message in _wrong_topic(connector, known, bridged):
             yield Finding((*path, "between"), f"the connector {connector} {message}")
+        ends = {end.component for end in connector.between}
+        computers = {computer for end in ends for computer in allowed.get(end, ())}
+        is_one = len(computers) < 2 or any(ends <= {*s} for s in robot.together)  # noqa: PLR2004
+        if connector.topic and not is_one:
+            text = f"{connector} may join {listed(sorted(computers))}"
+            remedy = "write `discovery: computers`, or keep its ends `together`"
+            text = f"{text}, but with `discovery: localhost` nodes find none elsewhere"
+            yield Finding((*path, "topic"), f"the connector {text}: {remedy}")
     for index, bridge in enumerate(robot.ros2.bridges):
         for message in _wrong_bridge(robot, bridge):
             yield Finding(("ros2", "bridges", index, "port"), message)
