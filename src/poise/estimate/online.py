@@ -125,7 +125,9 @@ class Sums:
     @property
     def is_in_step(self) -> bool:
         """Whether about as many jobs ended as arrived, or none of them lacked CPU."""
-        return self.off_step <= 1 + _BEHIND * self.asked
+        undone = self.asked - self.done
+        is_near = abs(undone) <= 1 + _BEHIND * self.asked
+        return is_near or (undone > 0 and self._had_cpu_left)
 
     @property
     def undone(self) -> float:
@@ -290,9 +292,9 @@ class RunningEstimate:
         if window is None or (window.is_cut and self._is_useless(window)):
             return None
         self._keep(window)
-        was_long = self._is_at_long_job
+        was_long = self._has_jobs and self._job.is_long
         self._job.add(window)
-        is_long = self._is_at_long_job
+        is_long = self._has_jobs and self._job.is_long
         if was_long:
             if not is_long:
                 self._start_again(None, 1)
@@ -317,7 +319,7 @@ class RunningEstimate:
         if not self._windows:
             return None
         sums = self._sums
-        used, is_long = sums.cpu / sums.seconds, self._is_at_long_job
+        used, is_long = sums.cpu / sums.seconds, self._has_jobs and self._job.is_long
         demand = Demand(used, 0.0) if is_long else demand_in(self._windows, sums)
         scale = demand.cores / used if used > 0 else 1.0
         p95, error = self._spread_of_windows()
@@ -344,10 +346,6 @@ class RunningEstimate:
             return None
         loads = [window.cpu / window.seconds for window in now]
         return Demand(sum(loads) / len(loads), error_of_mean(loads))
-
-    @property
-    def _is_at_long_job(self) -> bool:
-        return self._has_jobs and self._job.is_long
 
     def _was_idle(self) -> bool:
         """Whether a long job without others came after it did nothing for long."""

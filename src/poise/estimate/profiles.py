@@ -119,7 +119,7 @@ def error_of_mean(values: Sequence[float]) -> float | None:
     size = len(values) // num
     means = [sum(values[i * size : (i + 1) * size]) / size for i in range(num)]
     centre = sum(means) / num
-    variance = sum((mean - centre) ** 2 for mean in means) / (num - 1)
+    variance = sum([(mean - centre) ** 2 for mean in means]) / (num - 1)
     return _T95[num - 2] * math.sqrt(variance / num)
 
 

@@ -129,14 +129,10 @@ def _by_others(totals: Sequence[_Total]) -> float:
     seconds = others = 0.0
     for before, after in pairwise(totals):
         if before.containers.keys() <= after.containers.keys():
-            own = (
-                after.agent
-                - before.agent
-                + sum(
-                    cpu - before.containers.get(pid, 0.0)
-                    for pid, cpu in after.containers.items()
-                )
-            )
+            used = [
+                c - before.containers.get(p, 0.0) for p, c in after.containers.items()
+            ]
+            own = after.agent - before.agent + sum(used)
             seconds += after.at - before.at
             others += after.all - before.all - own
     return others / seconds if seconds else 0.0
@@ -225,7 +221,7 @@ class Estimates:
         self._followed: dict[str, _Followed] = {}
         self.idle: Collection[tuple[str, int]] = ()
         """Components and epochs that are not at work: what they use is no demand."""
-        self._ends: dict[tuple[_Place, str], tuple[float, ConnectorSample]] = {}
+        self._ends: dict[_Place, dict[str, tuple[float, ConnectorSample]]] = {}
         self._traffic: dict[str, tuple[_Place, ConnectorProfile]] = {}
 
     def add(self, sample: AgentSample) -> list[tuple[str, Drift]]:
@@ -242,8 +238,7 @@ class Estimates:
                     drift = self._update(component, at, computer, had_cpu_left=is_left)
                     if drift is not None:
                         drifts.append((component.name, drift))
-                for connector in container.connectors:
-                    self._count((computer, container.name), at, connector)
+                self._count_all((computer, container.name), at, container.connectors)
             self._forget_ended(sample)
         return drifts
 
@@ -322,31 +317,32 @@ class Estimates:
             if is_here and (name, known.epoch) not in components:
                 known.epoch = _ANY
         there = {
-            ((sample.computer, container.name), connector.name)
+            container.name: {connector.name for connector in container.connectors}
             for container in sample.containers
-            for connector in container.connectors
         }
-        gone = [
-            (place, name)
-            for place, name in self._ends
-            if place[0] == sample.computer and (place, name) not in there
-        ]
-        for place, name in gone:
-            del self._ends[place, name]
-            if name in self._traffic and self._traffic[name][0] == place:
-                del self._traffic[name]
+        here = [place for place in self._ends if place[0] == sample.computer]
+        for place in here:
+            ends = self._ends[place]
+            for name in ends.keys() - there.get(place[1], set()):
+                del ends[name]
+                if name in self._traffic and self._traffic[name][0] == place:
+                    del self._traffic[name]
 
-    def _count(self, place: _Place, at: float, now: ConnectorSample) -> None:
-        """Estimate a connector's rates, as the end says that had traffic last."""
-        began, before = self._ends.setdefault((place, now.name), (at, now))
-        seconds = at - began
-        if seconds < _COUNT_OVER:
-            return
-        self._ends[place, now.name] = (at, now)
-        traffic = traffic_between(before, now, seconds)
-        teller, _ = self._traffic.get(now.name, (None, None))
-        if traffic.rate or teller == place:
-            self._traffic[now.name] = place, traffic
+    def _count_all(
+        self, place: _Place, at: float, connectors: Iterable[ConnectorSample]
+    ) -> None:
+        """Estimate the rates of connectors, as the end says that had traffic last."""
+        ends = self._ends.setdefault(place, {})
+        for now in connectors:
+            began, before = ends.setdefault(now.name, (at, now))
+            seconds = at - began
+            if seconds < _COUNT_OVER:
+                continue
+            ends[now.name] = at, now
+            traffic = traffic_between(before, now, seconds)
+            teller, _ = self._traffic.get(now.name, (None, None))
+            if traffic.rate or teller == place:
+                self._traffic[now.name] = place, traffic
 
 
 def traffic_between(
