@@ -85,6 +85,11 @@ def test_without_a_file_it_shows_the_last_robot_or_the_one_that_is_named(
     book.note("decided", "the given one decided")
     book.close()
     assert poise("journal").stdout.endswith(" the given one decided\n")
+    for at, robot in enumerate(("first", "second", "last", "third")):
+        make_journal(robot, tmp_path / "given")
+        link = tmp_path / "poise" / robot / "journal-given"
+        os.utime(link, (at % 3, at % 3), follow_symlinks=False)
+    assert "journal of robot 'last' " in poise("journal").stderr
     (tmp_path / "given").unlink()
     assert "first decided" in poise("journal", "--robot", "first").stdout
 

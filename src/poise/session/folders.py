@@ -34,7 +34,7 @@ def make_journal(robot: str, given: Path | None = None) -> Path:
         if given is not None:
             link = path.with_name(_GIVEN)
             link.unlink(missing_ok=True)
-            link.symlink_to(given.resolve())
+            link.symlink_to(given.absolute())
     return given or path
 
 
@@ -44,7 +44,7 @@ def find_journal(robot: str | None = None) -> Path:
     Its folder has the robot's name; a given one is a link there.
     """
     every = [p for n in (_JOURNAL, _GIVEN) for p in state_folder().glob(f"*/{n}")]
-    known = [path for path in every if path.exists()]
+    known = [path for path in every if os.access(path, os.F_OK)]  # it can be reached
     found = [path for path in known if robot in {None, path.parent.name}]
     if not found:
         of = f" of robot '{robot}'" if robot else ""
@@ -54,7 +54,8 @@ def find_journal(robot: str | None = None) -> Path:
             "manager writes one, on the computer that `poise status` names, or name a "
             "file"
         )
-    return max(found, key=lambda each: each.stat().st_mtime_ns)
+    # of links to one file, the one that was made last
+    return max(found, key=lambda p: (p.stat().st_mtime_ns, p.lstat().st_mtime_ns))
 
 
 def to_write(path: Path | None) -> Path | None:
