@@ -202,10 +202,13 @@ class Suspensions:
         self._live.commit(structs.replace(self._live.desired, crashed=crashed), why)
 
     def _code_of(self, name: str) -> str:
-        """Return the code of an architecture; empty: the robot file has it no more."""
+        """Return the code of an architecture that the robot file may have no more."""
         robot = self._live.robot
+        # what is deployed is the same for a manager on another computer
+        folders = () if robot.deployed else robot.folders
         found = (a.components for a in robot.architectures if a.name == name)
-        return " ".join(version_of(c, *robot.folders) for c in next(found, ()))
+        versions = (version_of(c, *folders) for c in next(found, ()))
+        return " ".join([robot.deployed, *versions])
 
     def _suspended(self) -> list[Architecture]:
         """Return what does not run; worked out when what that depends on changes."""

@@ -108,12 +108,15 @@ def test_what_crashes_everywhere_is_put_aside_and_stays_so() -> None:
     assert robbed.run.placement() == HIGH
 
 
-def test_what_was_put_aside_stays_so_under_the_next_manager() -> None:
-    robbed = Crashing(robot_with())
+def test_what_was_put_aside_stays_so_under_the_next_manager(tmp_path: Path) -> None:
+    """It may be on a computer that has no folder of the robot, only deployed code."""
+    (tmp_path / "a.py").write_text("B = object")
+    robot = replace(robot_with(), deployed="1f2e", folder=str(tmp_path))
+    robbed = Crashing(robot)
     robbed.crashing = {"left", "right"}
     robbed.look(2)
     robbed.run.commit(replace(robbed.run.desired, tasks=b"some"), "tasks go on")
-    follower = Crashing(robot_with())
+    follower = Crashing(replace(robot, folder=str(tmp_path / "there")))
     for computer, told in robbed.agents.deployed[-2:]:
         follower.agents.begin_deploy(computer, told)
     start_or_take_over(follower.run)
