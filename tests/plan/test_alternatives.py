@@ -131,6 +131,17 @@ def test_says_with_which_alternative_all_would_fit(priority: int) -> None:
     assert "together need 3 cpu; one has 2.5. It would fit with 0.5" in result.reason
 
 
+@pytest.mark.parametrize("fewer", [False, True])
+def test_says_with_which_alternative_what_is_required_would_fit(*, fewer: bool) -> None:
+    see = {"function": "see", "required": True}
+    asked = problem(
+        (architecture("good", **see), 4.0),
+        (architecture("plain", **see), 3.0),
+        room=2.5,
+    )
+    assert "It would fit with 0.5" in plan.solve(asked, fewer=fewer).reason
+
+
 def test_weighs_quality_against_fit() -> None:
     """With quality worth nothing, the alternative with the lower F is taken."""
     asked = problem(

@@ -95,10 +95,10 @@ def admit(problem: Problem, decide: Decide, *, fewer: bool) -> Result:
         return result
     others = tuple(_other_parts(problem, every, result.choice))
     result.choice = result.choice._replace(others=others)
-    if not fewer:
-        return result
     required = [need for need in every if any(b.required for b in need)]
     optional = [need for need in every if need not in required]
+    if not (fewer and optional):
+        return result
     priorities = sorted({_priority(need) for need in optional}, reverse=True)
     levels = [[n for n in optional if _priority(n) == p] for p in priorities]
     admission = _Admission(problem, decide)
