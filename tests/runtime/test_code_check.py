@@ -13,7 +13,7 @@ from poise.runtime.code_check import check_code, code_of
 
 CODE = """
 from poise import (
-    Component, Message, Provided, Published, Required, every, oneway, subscribed
+    Component, Message, Provided, Published, Required, every, lost, oneway, subscribed
 )
 
 class Scan(Message, frozen=True):
@@ -146,6 +146,7 @@ class Ticking(Component):
 class Thrice(Untyped):
     scans: Published
 
+    @lost("scan")
     @every(1.0)
     def tick(self, now): ...
 

@@ -323,7 +323,7 @@ def ports_of(component: type) -> Mapping[str, Port]:
     """
     hints = get_type_hints(component, include_extras=True)
     ports: dict[str, Port] = {}
-    if wrong := [*_wrong(component, hints, ports)]:
+    if wrong := dict.fromkeys(_wrong(component, hints, ports)):
         raise UsageError("\n".join(wrong))
     return ports
 
