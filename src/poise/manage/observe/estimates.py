@@ -320,13 +320,14 @@ class Estimates:
             container.name: {connector.name for connector in container.connectors}
             for container in sample.containers
         }
-        here = [place for place in self._ends if place[0] == sample.computer]
-        for place in here:
-            ends = self._ends[place]
+        here = [(p, e) for p, e in self._ends.items() if p[0] == sample.computer]
+        for place, ends in here:
             for name in ends.keys() - there.get(place[1], set()):
                 del ends[name]
                 if name in self._traffic and self._traffic[name][0] == place:
                     del self._traffic[name]
+            if not ends:
+                del self._ends[place]
 
     def _count_all(
         self, place: _Place, at: float, connectors: Iterable[ConnectorSample]
