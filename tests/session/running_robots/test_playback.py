@@ -51,13 +51,16 @@ def test_that_a_recording_was_cut_off_is_said_once(
     monkeypatch.setattr(playback, "connect", lambda _: robot)
     assert playback.play(path, only=["eye.seen"]).messages == {"eye.seen": 1}
     assert caplog.text.count("was not closed") == 1
+    with pytest.raises(UsageError, match="has nothing of eye"):
+        playback.play(path, only=["eye.left"])
+    assert caplog.text.count("was not closed") == 2
 
 
 def test_a_recording_without_messages_is_refused(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Such is what `poise record` writes of a robot when it is given no connector."""
-    monkeypatch.setattr(playback, "said_in", lambda _: iter(()))
+    monkeypatch.setattr(playback, "said_in", lambda *_, **__: iter(()))
     monkeypatch.setattr(playback, "connect", Running)
     with pytest.raises(UsageError, match=r"no message is recorded in r\.mcap: `poise"):
         playback.play("r.mcap")

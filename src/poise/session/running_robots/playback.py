@@ -93,15 +93,14 @@ def play(
             "play` plays it, and the robot's bridges and nodes hear it"
         )
     component = cache(connect(robot).component)  # asks the manager whether it is there
-    every = said_in(Path(path), warns=False) if only else ()  # it is read again
-    known = set(map(_source, every))
+    known = set(map(_source, said_in(Path(path)))) if only else set()
     if unknown := {*only} - known:
         raise UsageError(f"{path} has nothing of {', '.join(sorted(unknown))}")
     messages, skipped = Counter[str](), dict[str, str]()
     used: dict[str, str] = {}
     """Port -> the connector whose messages are played: others have the same."""
     began, first, behind = time.monotonic(), 0.0, 0.0
-    for said in _in_order(said_in(Path(path))):
+    for said in _in_order(said_in(Path(path), warns=not only)):  # it did already
         port = _source(said)
         first = first or said.at
         is_asked = not only or port in only
