@@ -24,7 +24,7 @@ from poise.wire.heartbeats import (
     NextBeat,
 )
 from poise.wire.records.heartbeat_records import MANAGER as THE_MANAGER
-from poise.wire.records.heartbeat_records import Echo, Heartbeat
+from poise.wire.records.heartbeat_records import Echo, Heartbeat, LinkQuality
 from poise.wire.records.request_records import Claim, Election, ManagerId, majority_at
 
 AGENTS = {"left": "tcp/127.0.0.1:1", "right": "tcp/127.0.0.1:2"}
@@ -430,6 +430,18 @@ def test_a_standby_waits_while_no_majority_would_confirm_it(rig: Rig) -> None:
         look(number, "far")
     world.standby.lead.assert_called()
     assert not watch.trouble
+
+
+def test_a_link_that_stands_still_holds_no_standby_up_for_long(rig: Rig) -> None:
+    election = Election(votes=VOTES, managers=("left", "right"))
+    exchange = Mock(claim=Mock(election=election))
+    exchange.leader_silent_from.return_value = 0.0
+    stuck = LinkQuality(delay=3.0, loss=0.0, silent=0.0)
+    exchange.links.return_value = {"far": stuck}
+    world = Mock(clock=rig.clock, random=Random(1))
+    watch = StandbyWatch("right", exchange, rig.fence, world)
+    watch.look(is_over=False)
+    assert 2.0 < watch.moment() - rig.clock.now() < 2.2
 
 
 def test_heartbeats_go_to_the_others_from_the_first_claim_on_and_to_the_last_manager(

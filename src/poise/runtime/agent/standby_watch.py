@@ -13,6 +13,8 @@ _RANK, _SPREAD = 0.06, 0.04
 """Each next computer of the list waits so much longer, and a part of this [s]."""
 _WAYS = 6.0
 """An election takes so many times as long as the slowest way to another computer."""
+_LONGEST = 2.0
+"""But no longer than this [s]: it waits for no vote for more than a second."""
 _AGAIN = 1.0
 """When there is still no leader, it tries again after this time, or twice that [s]."""
 
@@ -93,4 +95,5 @@ class StandbyWatch:
     def _election_time(self) -> float:
         """Return how long messages of an election are on their way [s]."""
         ways = self._heartbeats.links().values()
-        return _WAYS * max((way.delay or 0.0 for way in ways), default=0.0)
+        slowest = max((way.delay or 0.0 for way in ways), default=0.0)
+        return min(_WAYS * slowest, _LONGEST)
