@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from poise.runtime.waker import wait_readable
+from poise.waker import wait_readable
 from tests.command import run_poise
 from tests.runtime.conftest import free_port
 from tests.waiting import LONG

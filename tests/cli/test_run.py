@@ -19,8 +19,8 @@ from poise.emulate import sweep
 from poise.emulate.registry import registry
 from poise.errors import PoiseError
 from poise.manage.journal import read_journal
-from poise.runtime.waker import wait_readable
 from poise.session.folders import find_journal
+from poise.waker import wait_readable
 from poise.wire.robots_here import path_of
 from tests.command import POISE, called, run_poise
 from tests.waiting import wait_until

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from poise.emulate import full_speed
-from poise.runtime.waker import wait_readable
+from poise.waker import wait_readable
 from tests.waiting import wait_long
 
 pytestmark = pytest.mark.slow

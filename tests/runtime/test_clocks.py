@@ -22,8 +22,8 @@ from poise.runtime.execution.data_age import ComputerClock
 from poise.runtime.supervision.container_processes import ContainerProcess
 from poise.runtime.supervision.health import Silence
 from poise.runtime.supervision.process_host import ControlLink
-from poise.runtime.waker import wait_readable
 from poise.session.launch.start import Sampling, started
+from poise.waker import wait_readable
 from poise.wire import frame
 from poise.wire.control_session import locator
 from poise.wire.heartbeats import Contacts, Heartbeats, UdpDatagrams

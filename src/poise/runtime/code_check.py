@@ -51,7 +51,7 @@ from poise.runtime.component.started_calls import ANSWER
 from poise.runtime.connectors.interface import methods
 from poise.runtime.hosting.command_line import die_with_parent
 from poise.runtime.migration.state_check import check_state
-from poise.runtime.waker import wait_readable
+from poise.waker import wait_readable
 from poise.wire.codec import codec
 
 _Known = dict[str, dict[str, KnownPort]]

@@ -24,7 +24,7 @@ from msgspec import structs
 
 from poise.decoding import from_msgpack
 from poise.runtime.agent.surroundings import BROKEN, AgentState
-from poise.runtime.waker import wait_readable
+from poise.waker import wait_readable
 from poise.wire.address import agent_path
 from poise.wire.codec import pack
 from poise.wire.control_session import open_session

@@ -18,7 +18,7 @@ from poise.errors import RunError
 from poise.runtime.container.container import Container
 from poise.runtime.execution.counters import new_memory
 from poise.runtime.hosting.runner import Runner
-from poise.runtime.waker import wait_readable
+from poise.waker import wait_readable
 from poise.wire import frame
 from poise.wire.records.deployment_records import ComponentSpec, ContainerSpec
 from poise.wire.records.status_records import (

@@ -17,7 +17,7 @@ from poise.clock import SystemClock
 from poise.runtime.container.component_import import implementation_of
 from poise.runtime.hosting.command_line import CommandLine, program, runnable
 from poise.runtime.hosting.runner import Runner
-from poise.runtime.waker import wait_readable
+from poise.waker import wait_readable
 from poise.wire.records.deployment_records import ComponentSpec
 from poise.wire.records.status_records import State
 from tests.waiting import wait_until

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import select
 import signal
 import socket
 import subprocess
@@ -28,6 +27,7 @@ from poise.model.policy import (
     Subject,
     Values,
 )
+from poise.waker import wait_readable
 from poise.wire import frame
 
 _AGAIN, _LONGEST = 10.0, 300.0
@@ -84,11 +84,10 @@ class OwnFunction:
 
     def _wait(self) -> None:
         """Wait until it has answered, or its time is over."""
-        while self._writer.is_waiting:
-            if not select.select([], [self._connection], [], self._limit)[1]:
-                break
+        fd = self._connection.fileno()
+        while self._writer.is_waiting and wait_readable([fd], self._limit, [fd]):
             self._writer.flush()
-        select.select([self._connection], [], [], self._limit + _MARGIN)
+        wait_readable([fd], self._limit + _MARGIN)
 
     def _hear(self) -> None:
         if self._asked_at is None:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import importlib
 import operator
-import select
 import signal
 import socket
 import sys
@@ -21,6 +20,7 @@ from msgspec import Struct
 from poise.decoding import convert
 from poise.errors import Unavailable, unknown
 from poise.model.policy import PolicyAction, Seen
+from poise.waker import wait_readable
 from poise.wire import frame
 
 LIMIT = 1.0
@@ -44,7 +44,7 @@ def main(reference: str, folder: str, descriptor: str) -> None:
         function, error = _imported(reference)
         while True:
             signal.setitimer(signal.ITIMER_REAL, 0.0)
-            select.select([manager], [], [])
+            wait_readable([manager.fileno()], None)
             try:
                 seen = frame.receive_record(manager, Seen)
                 signal.setitimer(signal.ITIMER_REAL, LIMIT)

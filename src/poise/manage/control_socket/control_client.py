@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import select
 import socket
 import time
 from collections.abc import Collection, Sequence
@@ -27,6 +26,7 @@ from poise.manage.control_socket.commands import (
     Result,
     StatusCommand,
 )
+from poise.waker import wait_readable
 from poise.wire import frame
 from poise.wire.address import connect
 from poise.wire.codec import WireError
@@ -217,7 +217,7 @@ def _no_manager(
 def _wait(connection: socket.socket, path: Path, command: Command) -> None:
     """Wait for the answer to a command for as long as the manager works."""
     manager, began, patience = peer_of(connection), time.monotonic(), STATUS_LIMIT
-    while not _is_readable(connection, _LOOK_EVERY):
+    while not wait_readable([connection.fileno()], _LOOK_EVERY):
         waited = time.monotonic() - began
         if _is_stopped(manager):
             raise _no_answer(path.stem, manager, waited)
@@ -233,12 +233,6 @@ def _wait(connection: socket.socket, path: Path, command: Command) -> None:
         patience = waited + STATUS_LIMIT
 
 
-def _is_readable(connection: socket.socket, limit: float) -> bool:
-    poll = select.poll()  # not select(): it refuses descriptors of 1024 and more
-    poll.register(connection, select.POLLIN)
-    return bool(poll.poll(1000 * limit))
-
-
 def _gives_status(path: Path) -> bool:
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
         try:
@@ -246,7 +240,7 @@ def _gives_status(path: Path) -> bool:
             frame.send_record(connection, StatusCommand())
         except (OSError, RunError, WireError):
             return False
-        return _is_readable(connection, STATUS_LIMIT)
+        return bool(wait_readable([connection.fileno()], STATUS_LIMIT))
 
 
 def _no_answer(robot: str, manager: int | None = None, waited: float = 0) -> NoManager:

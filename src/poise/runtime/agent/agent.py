@@ -55,8 +55,8 @@ from poise.runtime.supervision.health import Silence
 from poise.runtime.supervision.process_host import ControlLink, ProcessHost
 from poise.runtime.supervision.sampler import Sampler
 from poise.runtime.supervision.supervisor import part_of
-from poise.runtime.waker import Waker, wait_readable
 from poise.version import VERSION
+from poise.waker import Waker, wait_readable
 from poise.wire.address import KEYS, socket_path
 from poise.wire.codec import WireError
 from poise.wire.connections.gateway import Gateway

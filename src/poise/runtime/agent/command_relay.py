@@ -14,7 +14,7 @@ import zenoh
 
 from poise import threads
 from poise.errors import RunError
-from poise.runtime.waker import wait_readable
+from poise.waker import wait_readable
 from poise.wire import frame
 from poise.wire.address import connect
 from poise.wire.codec import WireError

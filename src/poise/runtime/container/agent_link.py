@@ -17,7 +17,7 @@ from msgspec import Struct
 
 from poise.clock import Clock
 from poise.errors import Unavailable
-from poise.runtime.waker import is_writable
+from poise.waker import is_writable
 from poise.wire import frame
 from poise.wire.address import agent_path, keep_private
 from poise.wire.records.request_records import Versioned

@@ -49,7 +49,7 @@ from poise.runtime.hosting.outside_requests import OutsideRequests
 from poise.runtime.hosting.runner import Runner
 from poise.runtime.hosting.wiring import Wiring
 from poise.runtime.migration.executor import MigrationExecutor
-from poise.runtime.waker import Waker, wait_readable
+from poise.waker import Waker, wait_readable
 from poise.wire.codec import WireError
 from poise.wire.connections.connection_server import ConnectionServer
 from poise.wire.records.deployment_records import ComponentSpec, ContainerSpec

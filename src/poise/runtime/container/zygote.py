@@ -39,7 +39,7 @@ from poise.runtime.hosting.descendants import (
     kill_all,
 )
 from poise.runtime.hosting.output import keep_output
-from poise.runtime.waker import Waker, wait_readable
+from poise.waker import Waker, wait_readable
 from poise.wire import frame
 from poise.wire.connections.opening import own_keys
 

@@ -27,13 +27,13 @@ from poise.endpoint import AGENT_PORT, Endpoint
 from poise.errors import PoiseError, RunError, UsageError
 from poise.model.robot import Robot
 from poise.runtime.agent.surroundings import BROKEN
-from poise.runtime.waker import Waker, wait_readable
 from poise.session import Say, log
 from poise.session.arguments import check_robot
 from poise.session.folders import scratch_folder
 from poise.session.launch.printer import STDERR, Printer, relay
 from poise.threads import BackOff
 from poise.units import counted
+from poise.waker import Waker, wait_readable
 from poise.wire.address import socket_path
 from poise.wire.control_session import (
     SESSION_TIMEOUT,

@@ -25,11 +25,11 @@ from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.journal import Journal
 from poise.model.robot import Robot
 from poise.runtime.hosting.command_line import die_with_parent, runnable
-from poise.runtime.waker import wait_readable
 from poise.session import Check, Say, log, nothing
 from poise.session.folders import scratch_folder
 from poise.session.launch.computers import Computers, computers_of
 from poise.units import counted
+from poise.waker import wait_readable
 from poise.wire.records.request_records import Election
 from poise.wire.records.status_records import SAMPLE_EVERY, AgentSample
 from poise.wire.robots_here import forget, note, path_of

@@ -12,7 +12,7 @@ import pytest
 from poise.errors import Timeout
 from poise.runtime.execution.counters import new_memory
 from poise.runtime.supervision.process_host import ControlLink
-from poise.runtime.waker import wait_readable
+from poise.waker import wait_readable
 from poise.wire import frame
 from poise.wire.records.heartbeat_records import Clocks
 from poise.wire.records.status_records import ContainerFailure, ContainerStatus

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from poise.runtime.waker import Waker, is_writable, wait_readable
+from poise.waker import Waker, is_writable, wait_readable
 
 LIMIT = 20.0
 
