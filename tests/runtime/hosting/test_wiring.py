@@ -332,7 +332,9 @@ def test_a_subscriber_that_gets_ready_holds_up_nobody_and_loses_nothing(
     with ThreadPoolExecutor(1) as pool:
         active = pool.submit(pair.activate)
         runner = pair.runners["source", 0]
-        wait_until(lambda: bool(runner.endpoints.senders))
+        wait_until(
+            lambda: [end.ready for end in pair.sides["source"].status()] == [True]
+        )
         runner.aim("active")
         began = time.monotonic()
         for number in range(20):
