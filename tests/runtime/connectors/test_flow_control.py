@@ -192,6 +192,17 @@ def test_a_target_that_was_restarted_gives_credit_again(joined: Joined) -> None:
     assert joined.counts.drops == 0  # what the one before had is not its own
 
 
+def test_after_one_that_failed_a_restarted_target_bounds_its_source_again(
+    joined: Joined,
+) -> None:
+    joined.send_all()
+    joined.mailbox.close()
+    assert joined.send_all() == 4
+    joined.start_target()
+    joined.ask()
+    assert joined.send_all() == 4
+
+
 def test_a_source_that_was_restarted_counts_from_the_first(joined: Joined) -> None:
     joined.send_all()
     old = joined.credit

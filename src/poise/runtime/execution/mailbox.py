@@ -61,7 +61,7 @@ class Feed:
     def room(self) -> int | None:
         """Return for how many messages there is room; None: for all."""
         inbox = self._inbox
-        if inbox.queue.policy == "keep" or inbox.is_closed:
+        if inbox.queue.policy == "keep":
             return None
         # a paused component takes nothing, and may itself wait for this source
         waiting = 0 if inbox.is_unbounded else self.waiting
