@@ -37,7 +37,7 @@ from poise.runtime.agent import fence
 from poise.runtime.agent.fence import Fence, Lease
 from poise.runtime.agent.heartbeat_exchange import HeartbeatExchange
 from poise.runtime.supervision.supervisor import Supervisor
-from poise.simulation.robot.container_host import SimulatedControl
+from poise.simulation.robot.modelled_container import SimulatedContainer
 from tests.simulation.conftest import small_scenario
 from tests.simulation.shrink import Shrunk
 from tests.simulation.simulated_run import simulate
@@ -143,12 +143,12 @@ def _no_generation_at_takeover() -> None:
 
 
 def _late_page() -> None:
-    extend = SimulatedControl.extend_lease
+    extend = SimulatedContainer.extend_lease
 
     def later(self: Any, until: float) -> None:
         extend(self, until + 3.0)
 
-    setattr(SimulatedControl, "extend_lease", later)
+    setattr(SimulatedContainer, "extend_lease", later)
 
 
 def _stale_adopted() -> None:
