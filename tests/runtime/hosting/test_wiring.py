@@ -347,6 +347,24 @@ def test_a_subscriber_that_gets_ready_holds_up_nobody_and_loses_nothing(
 
 
 @every_kind
+def test_a_subscriber_that_was_deactivated_holds_up_nobody_and_keeps_the_last(
+    pair: Pair,
+) -> None:
+    source, target = start(pair, "latest", "scan")
+    resting = pair.runners["target", 0]
+    resting.aim("inactive")
+    resting.life_cycle.wait_state({"inactive"}, LIMIT)
+    began = time.monotonic()
+    for number in range(20):
+        source.latest.publish(scan(number))
+        source.scan.publish(scan(number))
+    assert time.monotonic() - began < LIMIT
+    wait_until(lambda: pair.drops() == 19)
+    resting.aim("active")
+    target.wait_for(21)
+
+
+@every_kind
 def test_a_slow_subscriber_makes_its_publisher_wait(pair: Pair) -> None:
     source, target = start(pair, "careful")
     mailbox = pair.runners["target", 0].endpoints.mailbox

@@ -209,7 +209,7 @@ class Mailbox:
                 feed.on_room()
 
     def hold_up_nobody(self) -> None:
-        """Make no source wait before the component works."""
+        """Make no source wait while the component is not active."""
         for inbox in self._inboxes.values():
             inbox.is_unbounded = inbox.queue.policy == "block"
 

@@ -349,6 +349,7 @@ class Runner:
             self._start = self.clock.now() - self.asked_at
         elif hook == "deactivate":
             self.news.begin()
+            self.endpoints.mailbox.hold_up_nobody()  # and keep no more than it keeps
         self.life_cycle.enter(state)
         self.gate.resume()
         self._on_change()
