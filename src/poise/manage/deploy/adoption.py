@@ -58,7 +58,6 @@ class ReportedIncarnation(Struct, frozen=True, kw_only=True):
             adapt=spec.adapt,
             fresh=spec.fresh,
             gently=spec.gently,
-            follows=spec.follows,
             actions=spec.actions,
         )
 

@@ -49,8 +49,9 @@ class Incarnation(Struct, frozen=True, kw_only=True):
         return self.component, self.epoch
 
     def with_goal(self, goal: Goal) -> Incarnation:
-        """Return the same with another goal."""
-        return structs.replace(self, goal=goal)
+        """Return the same with another goal; once active, it has taken over."""
+        follows = self.follows and goal != "active"
+        return structs.replace(self, goal=goal, follows=follows)
 
 
 class OtherCode(Struct, frozen=True):
