@@ -156,14 +156,32 @@ def test_a_burst_that_fills_the_computer_of_what_is_late_counts(
     seen = situation(missed=("a",))
     uses = {"a": 0.15, "b": 0.35} if is_full else {"a": 0.2, "b": 0.2}
     left = Load(capacity=0.5, used=sum(uses.values()), components=uses)
-    seen = with_bursts(replace(seen, loads={**seen.loads, "left": left}))
+    seen = replace(seen, loads={**seen.loads, "left": left})
     found = decide(seen)
     assert found.acts == is_full
-    assert (seen.amounts()["b"] > 0.2) == is_full  # it is thought about at once
+    amounts = with_bursts(seen).amounts()
+    assert (amounts["b"] > 0.2) == is_full  # it is thought about at once
     if is_full:
         assert found.proposal is not None
         assert len({*found.proposal.placement.values()}) == 2
         assert str(found.proposal.shifted["b"]).startswith("35.0% ± 0.0% of a core")
+
+
+def test_nothing_is_suspended_for_a_burst(situation: Make, two: Robot) -> None:
+    """It is over soon, but the state of what is suspended is lost."""
+    (both,) = two.architectures
+    apart = [
+        replace(both, name=c.name, function=c.name, priority=rank, components=(c,))
+        for rank, c in enumerate(both.components)
+    ]
+    task = Task(name="work", actions=(Action(name="w", functions=("a", "b")),))
+    robot = replace(two, architectures=apart, tasks=(task,))
+    robot = replace(robot, computers=robot.computers[:1])
+    seen = situation(robot=robot, missed=("b",))
+    uses = Load(capacity=0.5, used=0.5, components={"a": 0.35, "b": 0.15})
+    found = decide(replace(seen, loads={"left": uses}))
+    assert not found.acts
+    assert found.undone > 0.0
 
 
 def test_what_is_lost_with_its_computer_is_named_where_nothing_helps(

@@ -78,9 +78,9 @@ def decide(
 ) -> Decision:
     """Return whether to change the placement, and why."""
     gone = _gone(situation)
-    situation = situation.of_running_components()
-    present = urgent(situation)
-    situation = replace(situation, urgency={**present, **situation.urgency})
+    steady = situation.of_running_components()
+    situation = with_bursts(steady)
+    situation = replace(situation, urgency={**urgent(situation), **steady.urgency})
     bad = bad_links(situation)
     robot = _without_homes_beyond(
         beyond_cuts(situation.placement, bad), with_bad_links(situation.robot, bad)
@@ -113,8 +113,10 @@ def decide(
     acts = bool(proposal.steps) and gain > _LEAST and gain * horizon > doubt * cost
     why = f"{causes}{_change(proposal, gain, cost)}"
     if not acts:
-        now_late = replace(situation, urgency=present)
-        suspended = _with_fewer(now_late) if short else None
+        # nothing loses its state for what is in time now, nor for a burst
+        demands, now_late = steady.demand_estimates, urgent(steady)
+        lasting = replace(situation, demand_estimates=demands, urgency=now_late)
+        suspended = _with_fewer(lasting) if short else None
         if suspended is not None:
             return replace(suspended, undone=undone)
         why = f"it stays as it is: {why}"

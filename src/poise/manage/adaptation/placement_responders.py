@@ -289,7 +289,8 @@ class ReplanResponder:
             loss.end(now)
             return None
         links = (s.values.name for s in bad if s.policy.for_each == "link")
-        situation = with_bursts(replace(situation, bad_links=frozenset(links)))
+        steady = replace(situation, bad_links=frozenset(links))
+        situation = with_bursts(steady)
         due = transitions.policies.due(bad, now)
         if (
             not due
@@ -300,8 +301,8 @@ class ReplanResponder:
         since = transitions.policies.since
         began = min(since.get(symptom.key, now) for symptom in bad)
         horizon = max(HORIZON, loss.lasts(began, now))
-        situation = replace(situation, urgency=self._urgency(situation))
-        decision = decide(situation, horizon=horizon, doubt=loss.doubt)
+        steady = replace(steady, urgency=self._urgency(situation))
+        decision = decide(steady, horizon=horizon, doubt=loss.doubt)
         loss.judge(decision.undone, now)
         loss.note(decision.gain if decision.acts else 0.0, began, now)
         why_not = transitions.why_not(decision, now)
