@@ -184,6 +184,13 @@ def test_nothing_is_suspended_for_a_burst(situation: Make, two: Robot) -> None:
     assert found.undone > 0.0
 
 
+def test_what_an_idle_copy_uses_is_no_burst_of_its_component(situation: Make) -> None:
+    """As while it is prepared for a move."""
+    seen = situation(APART, missed=("a",))
+    uses = Load(capacity=0.5, used=0.5, components={"a": 0.15, "b": 0.35})
+    assert with_bursts(replace(seen, loads={"left": uses})).amounts()["b"] == 0.2
+
+
 def test_what_is_lost_with_its_computer_is_named_where_nothing_helps(
     situation: Make,
 ) -> None:

@@ -157,16 +157,12 @@ def with_bursts(situation: Situation) -> Situation:
     Over half a minute a burst is little; while it fills its computer, it is not.
     """
     late = {timer.computer for timer in situation.misses if timer.late}
-    uses = {
-        name: used
-        for computer in late
-        if (load := situation.loads.get(computer)) is not None and load.is_full
-        for name, used in load.components.items()
-    }
+    full = {name: load for name, load in situation.loads.items() if load.is_full}
 
     def now(each: DemandEstimate) -> DemandEstimate:
-        used = uses.get(each.component, 0.0)
-        if used <= _BURST * each.estimate.mean or each.component not in uses:
+        load = full.get(each.computer) if each.computer in late else None
+        used = load.components.get(each.component, 0.0) if load else 0.0
+        if used <= _BURST * each.estimate.mean:
             return each
         return replace(each, estimate=replace(each.estimate, mean=used, error=0.0))
 
