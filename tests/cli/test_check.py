@@ -66,7 +66,7 @@ def test_a_profile_that_cannot_be_read_is_a_problem(tmp_path: Path) -> None:
     done = called(["check", str(robot)])
     assert done.returncode == 1
     assert done.stderr.startswith(f"{robot}:3:1: profile ")
-    assert "cannot be read: [Errno 21] Is a directory" in done.stderr
+    assert "cannot be read: Is a directory." in done.stderr
 
 
 @pytest.mark.slow
