@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 from typing import Any, Protocol
+from unittest.mock import MagicMock
 
 import pytest
 
 from poise import CalleeError, Message
 from poise.clock import SystemClock
 from poise.ros2.bridge_node import BridgeLine
-from poise.ros2.service_bridges import ServesRos
+from poise.ros2.service_bridges import Goals, ServesActions, ServesRos
 
 
 class Answer(Message):
@@ -56,3 +57,23 @@ def test_a_client_gets_an_answer_also_of_what_does_not_fit(
     assert response.success == (said == "on")
     assert said in response.message
     assert bool(caplog.text) == (said != "on")
+
+
+def test_a_result_waits_for_its_client_also_over_several_moves(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("rclpy.serialization.deserialize_message", lambda data, _: data)
+    sent: list[bytes] = []
+    handle = SimpleNamespace(send_result_response=lambda _, data: sent.append(data))
+    server = MagicMock(_handle=handle, _result_futures={})
+    state = Goals(["0a", "0b"], {"0a": b"an", "0b": b"another"})
+    for left in ({"0b": b"another"}, {}):
+        bridge = object.__new__(ServesActions)
+        bridge._servers = {"grip": server}
+        bridge.restore(state)
+        goal = state.taken[len(sent)]
+        asked = SimpleNamespace(goal_id=SimpleNamespace(uuid=bytes.fromhex(goal)))
+        assert bridge._give(server, None, asked)
+        state = bridge.snapshot()
+        assert state == Goals(["0a", "0b"], left)
+    assert sent == [b"an", b"another"]

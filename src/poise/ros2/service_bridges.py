@@ -253,18 +253,23 @@ class ServesActions(Services):
         """Return what its successor needs to know of goals."""
         from rclpy.serialization import serialize_message  # noqa: PLC0415, as above
 
+        before = {
+            key: data
+            for key, data in self._before.results.items()
+            if not self._taken.get(key, True)
+        }
         results = {
             key.hex(): serialize_message(future.result())
             for server in self._servers.values()
             for key, future in server._result_futures.items()  # noqa: SLF001
             if future.done() and not self._taken.get(key.hex(), True)
         }
-        return Goals([*self._taken], results)
+        return Goals([*self._taken], before | results)
 
     def restore(self, state: Goals) -> None:
         """Take no goal that the bridge before has taken, and give its results."""
         self._before = state
-        self._taken = dict.fromkeys(state.taken, True)
+        self._taken = {key: key not in state.results for key in state.taken}
 
     def listen(self) -> None:
         """Begin with the goals that have come; what was to be cancelled has ended."""
@@ -310,8 +315,9 @@ class ServesActions(Services):
 
         key = _key(asked)
         ended = server._result_futures.get(bytes.fromhex(key))  # noqa: SLF001
-        if ended is not None:
+        if key in self._taken:
             self._taken[key] = True
+        if ended is not None:
             if ended.done():
                 server._send_result_response(header, ended)  # noqa: SLF001
             else:
