@@ -18,6 +18,8 @@ from poise.runtime.component.ports import Port
 
 _FOUND_WITHIN = 3.5
 """Fast DDS announces itself again after 3 s when its first datagrams are lost [s]."""
+_SETTLED = 0.5
+"""All other nodes and their ends are known when no more came for so long [s]."""
 _LOOK_EVERY = 0.02
 
 
@@ -75,9 +77,23 @@ class BridgeNode(Component):
 
     def _find_others(self) -> None:
         """Wait until ROS 2 has found other nodes: what they send before is lost."""
-        own, until = {self.node.get_name()}, time.monotonic() + _FOUND_WITHIN
-        while not {*self.node.get_node_names()} - own and time.monotonic() < until:
+        began = changed = now = time.monotonic()
+        own, known = self.node.get_name(), list[Any]()
+        while now < (changed + _SETTLED if known else began + _FOUND_WITHIN):
+            before, names = known, sorted(self.node.get_node_names())
+            known = [*names, *self._ends_there()] if {*names} - {own} else []
+            changed = now if known != before else changed
             time.sleep(_LOOK_EVERY)
+            now = time.monotonic()
+
+    def _ends_there(self) -> Sequence[int]:
+        """Return how many ends there are at the topics and services of its own."""
+        node, services = self.node, ("/_action/send_goal", "/_action/get_result", "")
+        names = [entry.ros2 for entry in self.entries]
+        return [
+            *(node.count_clients(name + each) for name in names for each in services),
+            *(node.count_publishers(name) for name in names),
+        ]
 
     def open(self) -> None:
         """Make the node's ends."""

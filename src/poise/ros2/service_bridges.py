@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import inspect
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -240,6 +241,8 @@ class ServesActions(Services):
                 goal_callback=accept,
                 handle_accepted_callback=partial(self._begin, service),
                 cancel_callback=partial(self._cancel, service),
+                goal_service_qos_profile=_waiting_goals(),
+                result_service_qos_profile=_waiting_goals(),
             )
             self.closing.callback(server.destroy)
             take = server._execute_goal_request  # noqa: SLF001
@@ -386,6 +389,15 @@ class ServesActions(Services):
 
 _MOST_TAKEN = 1000
 """The most goals that are known: those taken last."""
+
+
+def _waiting_goals() -> Any:  # noqa: ANN401, a profile of rclpy
+    """Return the profile of services, with room for all that comes amid a move."""
+    from rclpy import qos  # noqa: PLC0415, only where a node runs
+
+    profile = copy.copy(qos.qos_profile_services_default)
+    profile.depth = _MOST_TAKEN
+    return profile
 
 
 def _key(goal: Any) -> str:  # noqa: ANN401, what has the id of a goal
