@@ -25,7 +25,7 @@ SERVE = """
 import pathlib, sys, threading
 from poise.wire import frame
 from poise.wire.codec import codec
-from poise.wire.connections.connection import connection
+from poise.wire.connections.connection import current_connection
 from poise.wire.connections.gateway import Gateway
 from poise.wire.frame import FrameKind
 from poise.wire.connections.connection_server import ConnectionServer
@@ -39,7 +39,7 @@ def handle(received):
     print(text, flush=True)
     if text == "later":
         pieces = frame.segments(TEXT, text, FrameKind.CREDIT)
-        threading.Timer(1.5, connection().send_back, [pieces]).start()
+        threading.Timer(1.5, current_connection().send_back, [pieces]).start()
 
 folder = pathlib.Path(sys.argv[1])
 server = ConnectionServer(folder, "there")

@@ -173,6 +173,9 @@ class World:
 class Nothing:
     """Takes all calls, and does nothing: a journal, and what suspends."""
 
+    def due(self, _: float) -> tuple[Architecture, ...]:
+        return ()
+
     def __getattr__(self, _: str) -> Callable[..., None]:
         return lambda *_, **__: None
 
