@@ -184,7 +184,7 @@ def _not_at_once_again() -> Iterator[None]:
     since = time.monotonic()
     try:
         yield
-    except Exception:
+    except Exception:  # whatever it is, systemd starts it again at once
         if is_service:
             time.sleep(max(0.0, since + _BEFORE_NEXT - time.monotonic()))
         raise

@@ -12,7 +12,7 @@ from poise.wire.records.request_records import Election
 _RANK, _SPREAD = 0.06, 0.04
 """Each next computer of the list waits so much longer, and a part of this [s]."""
 _WAYS = 6.0
-"""An election takes so many times as long as the slowest way to another computer."""
+"""An election takes this many times the delay of the slowest link, one way."""
 _LONGEST = 2.0
 """But no longer than this [s]: it waits for no vote for more than a second."""
 _AGAIN = 1.0

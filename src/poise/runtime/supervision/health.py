@@ -118,7 +118,7 @@ class HealthRecords:
             self.enter(container, "stopped")
 
     def forget_stopped(self) -> None:
-        """Record that what runs from now on is another robot, or the same anew."""
+        """Forget the containers of a robot that was stopped: another start follows."""
         self._of = {n: each for n, each in self._of.items() if each.state != "stopped"}
 
     def how_ended(self, container: str) -> str:
